@@ -1,0 +1,82 @@
+//! UsdLux lights with the specification's names and defaults.
+
+use super::mesh::{IDENTITY, Matrix4d};
+use serde::{Deserialize, Serialize};
+
+/// What shape emits; local frame and defaults as in UsdLux (emission along -Z unless said).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "camelCase", rename_all_fields = "camelCase", tag = "kind")]
+pub enum LightShape {
+    /// XY rectangle; `texture` is a key of `FlatScene::textures` or empty. Min uv at (+X, +Y).
+    Rect { width: f32, height: f32, texture: String },
+    /// XY disk.
+    Disk { radius: f32 },
+    /// Emits outward.
+    Sphere { radius: f32 },
+    /// Axis X, emits outward, no caps.
+    Cylinder { length: f32, radius: f32 },
+    /// `angle` in degrees (full angle); travels along -Z.
+    Distant { angle: f32 },
+    /// `texture` as for Rect; latlong. `pole_axis` is `Y` or `Z` (the bridge resolves `scene`).
+    Dome { texture: String, pole_axis: String },
+    /// The mesh at `mesh` (a key of `FlatScene::meshes`) emits outward on both its windings.
+    Mesh { mesh: String },
+}
+
+/// `UsdLuxShapingAPI`, present only where applied.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+pub struct Shaping {
+    pub focus: f32,
+    pub focus_tint: [f32; 3],
+    /// Half angle, degrees.
+    pub cone_angle: f32,
+    pub cone_softness: f32,
+}
+
+impl Default for Shaping {
+    fn default() -> Self {
+        Self { focus: 0.0, focus_tint: [0.0; 3], cone_angle: 90.0, cone_softness: 0.0 }
+    }
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+pub struct Light {
+    /// Local to world.
+    pub transform: Matrix4d,
+    /// Whether it lights at all (visibility resolved by the bridge).
+    pub visible: bool,
+    /// Whether camera rays see the shape (or, for a dome, the background).
+    pub camera_visible: bool,
+    pub intensity: f32,
+    pub exposure: f32,
+    pub color: [f32; 3],
+    pub enable_color_temperature: bool,
+    /// Kelvin.
+    pub color_temperature: f32,
+    /// `UsdLux.BlackbodyTemperatureAsRgb(colorTemperature)`, resolved by the bridge.
+    pub blackbody: [f32; 3],
+    pub normalize: bool,
+    pub shaping: Option<Shaping>,
+    pub shape: LightShape,
+}
+
+impl Default for Light {
+    fn default() -> Self {
+        Self {
+            transform: IDENTITY,
+            visible: true,
+            camera_visible: false,
+            intensity: 1.0,
+            exposure: 0.0,
+            color: [1.0; 3],
+            enable_color_temperature: false,
+            color_temperature: 6500.0,
+            blackbody: [1.0; 3],
+            normalize: false,
+            shaping: None,
+            shape: LightShape::Sphere { radius: 0.5 },
+        }
+    }
+}

@@ -1,0 +1,125 @@
+//! Geometry prims: polygon meshes with USD's attribute names, and what places copies of them.
+
+use super::Array;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Row-vector 4x4 matrix as `GfMatrix4d`: translation in the last row, stage units.
+pub type Matrix4d = [[f64; 4]; 4];
+
+pub const IDENTITY: Matrix4d = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub enum Orientation {
+    #[default]
+    RightHanded,
+    LeftHanded,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub enum Interpolation {
+    Constant,
+    Uniform,
+    Varying,
+    #[default]
+    Vertex,
+    FaceVarying,
+}
+
+/// Values on a mesh; with `indices`, element i is `values[indices[i]]`.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub struct Primvar<T: super::array::Element> {
+    pub interpolation: Interpolation,
+    pub values: Array<T>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub indices: Option<Array<i32>>,
+}
+
+/// `UsdGeomSubset` of family `materialBind`: faces with a material of their own.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+pub struct GeomSubset {
+    /// Prim path of the subset.
+    pub path: String,
+    /// Face indices.
+    pub indices: Array<i32>,
+    /// Prim path of the bound material; empty: none.
+    pub material: String,
+}
+
+/// A polygon mesh: `UsdGeomMesh`, or an implicit prim that the bridge tessellated.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+pub struct Mesh {
+    /// Local to world; with an instancer, local to the prototype root.
+    pub transform: Matrix4d,
+    pub visible: bool,
+    pub double_sided: bool,
+    pub orientation: Orientation,
+    /// Object space, stage units.
+    pub points: Array<[f32; 3]>,
+    pub face_vertex_counts: Array<i32>,
+    pub face_vertex_indices: Array<i32>,
+    pub hole_indices: Array<i32>,
+    /// `none`, `catmullClark`, `loop`, `bilinear`. Authored normals count for `none` only; the others
+    /// get smooth normals of their control cage.
+    pub subdivision_scheme: String,
+    pub normals: Option<Primvar<[f32; 3]>>,
+    pub st: Option<Primvar<[f32; 2]>>,
+    pub display_color: Option<Primvar<[f32; 3]>>,
+    pub display_opacity: Option<Primvar<f32>>,
+    /// Prim path of the bound material; empty: none.
+    pub material: String,
+    pub geom_subsets: Vec<GeomSubset>,
+    /// Key of the [`Instancer`] that places this mesh; empty: placed once, by `transform`.
+    pub instancer: String,
+}
+
+impl Default for Mesh {
+    fn default() -> Self {
+        Self {
+            transform: IDENTITY,
+            visible: true,
+            double_sided: false,
+            orientation: Orientation::RightHanded,
+            points: Array::default(),
+            face_vertex_counts: Array::default(),
+            face_vertex_indices: Array::default(),
+            hole_indices: Array::default(),
+            subdivision_scheme: "none".into(),
+            normals: None,
+            st: None,
+            display_color: None,
+            display_opacity: None,
+            material: String::new(),
+            geom_subsets: Vec::new(),
+            instancer: String::new(),
+        }
+    }
+}
+
+/// One prototype's placements: native instances or a point instancer, nesting multiplied out.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+pub struct Instancer {
+    pub visible: bool,
+    /// Prototype root to world, one per instance.
+    pub transforms: Array<Matrix4d>,
+}
+
+/// An image, decoded by the bridge: linear Rec.709, row 0 at the top.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+pub struct Texture {
+    pub file: String,
+    pub width: u32,
+    pub height: u32,
+    /// `width * height` pixels.
+    pub pixels: Array<[f32; 3]>,
+}
+
+/// Prims by path. A `BTreeMap`, so that every walk over the scene has one order.
+pub type Prims<T> = BTreeMap<String, T>;

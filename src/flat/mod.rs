@@ -1,0 +1,62 @@
+//! The flattened scene: USD's words and units, ids instead of pointers, nothing compiled.
+
+pub mod array;
+mod camera;
+mod light;
+mod material;
+mod mesh;
+mod settings;
+
+pub use array::Array;
+pub use camera::{Camera, Projection};
+pub use light::{Light, LightShape, Shaping};
+pub use material::{Material, OpenPbrSurface, PreviewSurface, StandardSurface};
+pub use mesh::{GeomSubset, IDENTITY, Instancer, Interpolation, Matrix4d, Mesh, Orientation, Prims, Primvar, Texture};
+pub use settings::RenderSettings;
+
+use serde::{Deserialize, Serialize};
+
+/// Stage metadata that gives numbers their meaning.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+pub struct StageInfo {
+    pub file: String,
+    /// `Y` or `Z`.
+    pub up_axis: String,
+    pub meters_per_unit: f64,
+    pub time_code: f64,
+}
+
+impl Default for StageInfo {
+    fn default() -> Self {
+        Self { file: String::new(), up_axis: "Y".into(), meters_per_unit: 0.01, time_code: 0.0 }
+    }
+}
+
+/// One prim as the bridge hands it to `RenderDelegate::sync`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "type")]
+pub enum Prim {
+    Mesh(Mesh),
+    Instancer(Instancer),
+    Material(Material),
+    Light(Light),
+    Camera(Camera),
+    Texture(Texture),
+}
+
+/// A whole stage at one time.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+pub struct FlatScene {
+    pub stage: StageInfo,
+    pub meshes: Prims<Mesh>,
+    pub instancers: Prims<Instancer>,
+    pub materials: Prims<Material>,
+    pub lights: Prims<Light>,
+    pub cameras: Prims<Camera>,
+    pub textures: Prims<Texture>,
+    pub settings: RenderSettings,
+    /// What the bridge dropped or replaced on the way here.
+    pub warnings: Vec<crate::error::Warning>,
+}

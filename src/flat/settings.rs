@@ -1,0 +1,64 @@
+//! Render settings: what `--set` lists, and what the stage's RenderSettings prim or the flags decide.
+
+use serde::{Deserialize, Serialize};
+
+/// Settings of one render; `--set NAME=VALUE` takes each of these names.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "camelCase", default, deny_unknown_fields)]
+pub struct RenderSettings {
+    /// Path of the camera prim in `FlatScene::cameras`.
+    pub camera: String,
+    /// Pixels.
+    pub resolution: [u32; 2],
+    pub pixel_aspect_ratio: f32,
+    /// `expandAperture`, `cropAperture`, `adjustApertureWidth`, `adjustApertureHeight`, `adjustPixelAspectRatio`.
+    pub aspect_ratio_conform_policy: String,
+    /// Region to render, NDC x0 y0 x1 y1, y up (USD's); `--crop` arrives here.
+    #[serde(rename = "dataWindowNDC")]
+    pub data_window_ndc: [f32; 4],
+    pub disable_depth_of_field: bool,
+    /// Samples per pixel.
+    pub samples: u32,
+    pub sample_offset: u32,
+    pub seed: u32,
+    /// 0: all.
+    pub threads: u32,
+    /// Seconds of rendering; 0: no limit.
+    pub time_limit: f32,
+    /// Stop when the estimated relative error of the image falls below; 0: never.
+    pub noise_threshold: f32,
+    /// Surface bounces.
+    pub max_depth: u32,
+    /// `auto` or `classical`.
+    pub walk: String,
+    /// `auto`, or a boundary for every medium: `diffuse`, `dielectric`, `indexMatched`.
+    pub subsurface_boundary: String,
+    /// Camera rays see area lights.
+    pub lights_visible_to_camera: bool,
+    /// AOVs beside the beauty: alpha, depth, normal, position, albedo, primId, direct, indirect, subsurface, variance.
+    pub aovs: Vec<String>,
+}
+
+impl Default for RenderSettings {
+    fn default() -> Self {
+        Self {
+            camera: String::new(),
+            resolution: [960, 540],
+            pixel_aspect_ratio: 1.0,
+            aspect_ratio_conform_policy: "expandAperture".into(),
+            data_window_ndc: [0.0, 0.0, 1.0, 1.0],
+            disable_depth_of_field: false,
+            samples: 64,
+            sample_offset: 0,
+            seed: 0,
+            threads: 0,
+            time_limit: 0.0,
+            noise_threshold: 0.0,
+            max_depth: 12,
+            walk: "auto".into(),
+            subsurface_boundary: "auto".into(),
+            lights_visible_to_camera: false,
+            aovs: Vec::new(),
+        }
+    }
+}
