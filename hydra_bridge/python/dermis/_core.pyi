@@ -1,0 +1,72 @@
+"""The Rust core, as the bridge sees it. Prims arrive as JSON (`flat::Prim`, tag `type`) with their arrays beside it."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+__version__: str
+
+class CoreError(Exception):
+    """An error of the core; the text names the prim, attribute or file."""
+
+class Delegate:
+    """Hydra's render delegate: prims come by `sync`, changes take effect at `commit`."""
+
+    def __init__(self) -> None: ...
+    @staticmethod
+    def load(file: str) -> Delegate:
+        """A delegate holding the flattened scene of a `.dermis` file (memory-mapped)."""
+
+    def save(self, file: str) -> None:
+        """Writes the flattened scene as one `.dermis` file (temporary name, then renamed)."""
+
+    def sync(self, path: str, prim: str, arrays: Sequence[NDArray], dirty_bits: int) -> None:
+        """Inserts or edits a prim. `prim` is JSON in which `{"array": i}` stands for `arrays[i]`
+        (C-contiguous float32, float64 or int32; shape (n,), (n, k) or (n, 4, 4)); copied once.
+        Of an existing prim only the aspects named by `dirty_bits` are replaced."""
+
+    def remove(self, path: str) -> None: ...
+    def set_stage(self, info: str) -> None:
+        """JSON of `flat::StageInfo`."""
+
+    def set_settings(self, settings: str) -> None:
+        """JSON of `flat::RenderSettings`; absent names keep their value."""
+
+    def settings(self) -> str:
+        """JSON of the current `flat::RenderSettings`, every name with its value."""
+
+    def warn(self, path: str, message: str) -> None:
+        """Adds a warning of the bridge to those of the scene."""
+
+    def commit(self) -> str:
+        """Compiles what is dirty; JSON with what was rebuilt (`blas_built`, `instances`, `lights`, `seconds`...)."""
+
+    def explain(self) -> str:
+        """JSON: what the committed scene needs, what was switched on and why, warnings."""
+
+    def bounds(self) -> tuple[list[float], list[float]] | None:
+        """World bounds (min, max) of the visible meshes; None without any."""
+
+    def cameras(self) -> list[str]: ...
+    def start(self) -> None:
+        """Starts the render in the background; call after `commit`."""
+
+    def poll(self) -> tuple[float, bool]:
+        """(fraction done, finished). Raises CoreError if the render failed."""
+
+    def wait(self, seconds: float) -> bool:
+        """Waits with the GIL released; True when finished."""
+
+    def stop(self) -> None:
+        """Asks the render to end after the tiles under way, and waits for it."""
+
+    def snapshot(self) -> dict[str, NDArray]:
+        """AOVs so far: name -> float32 array (height, width, channels), linear; `color` is the beauty (RGBA)."""
+
+    def stats(self) -> str:
+        """JSON with the names of the contract (`samples_per_pixel`, `seconds.total`, ...)."""
+
+    def write_exr(self, file: str, attributes: str) -> None:
+        """Writes all AOVs as one multi-layer EXR (temporary name, then renamed); `attributes` is a JSON
+        object of strings for the header. Honours the data window."""
