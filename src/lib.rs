@@ -3,4 +3,6 @@
 pub mod error;
 pub mod flat;
 pub mod math;
+pub mod medium;
 pub mod sampling;
+pub mod subsurface;

@@ -1,0 +1,161 @@
+//! The classical walk against closed forms and adding-doubling tables.
+
+use dermis::math::Rgb;
+use dermis::medium::Medium;
+use dermis::sampling::{cosine_hemisphere, sampler::Sampler};
+use dermis::subsurface::walk::{Enclosure, Start, WalkEnd, WalkStats, walk};
+use glam::Vec3;
+use std::path::Path;
+
+/// 0 < z < thickness, infinite in x and y. `true` is the face at z = 0.
+struct Slab {
+    thickness: f32,
+}
+
+impl Enclosure for Slab {
+    type Hit = bool;
+
+    fn cast(&self, p: Vec3, d: Vec3, t_max: f32, from: Option<bool>) -> Option<(f32, bool)> {
+        let top = d.z < 0.0;
+        let t = if top { -p.z / d.z } else { (self.thickness - p.z) / d.z };
+        (from != Some(top) && t < t_max).then_some((t.max(0.0), top))
+    }
+
+    fn bounds_contain(&self, p: Vec3) -> bool {
+        (-1e-3..=self.thickness * 1.001 + 1e-3).contains(&p.z)
+    }
+
+    fn position_error(&self) -> f32 {
+        1e-6
+    }
+}
+
+/// Mean and standard error of the mean, per channel.
+#[derive(Default, Clone, Copy)]
+struct Estimate {
+    sum: glam::DVec3,
+    squares: glam::DVec3,
+    n: f64,
+}
+
+impl Estimate {
+    fn add(&mut self, x: Rgb) {
+        let x = x.as_dvec3();
+        self.sum += x;
+        self.squares += x * x;
+        self.n += 1.0;
+    }
+
+    fn mean(&self) -> glam::DVec3 {
+        self.sum / self.n
+    }
+
+    /// Variance at least that of an analog walk (weight 0 or 1): rare events may not have been met at all.
+    fn z(&self, expected: f64) -> f64 {
+        let variance = (self.squares / self.n - self.mean() * self.mean()).x.max(expected * (1.0 - expected));
+        (self.mean().x - expected) / (variance / self.n + 1e-16).sqrt()
+    }
+}
+
+struct SlabFluxes {
+    reflected: Estimate,
+    transmitted: Estimate,
+}
+
+fn run_slab(medium: &Medium, thickness: f32, diffuse: bool, walks: u32, seed: u32) -> SlabFluxes {
+    let slab = Slab { thickness };
+    let (mut reflected, mut transmitted) = (Estimate::default(), Estimate::default());
+    let mut stats = WalkStats::default();
+    for i in 0..walks {
+        let mut sampler = Sampler::new(seed, i >> 12, i & 4095);
+        let u = sampler.next_2d();
+        let d = if diffuse { cosine_hemisphere(u) } else { Vec3::Z };
+        let start = Start { p: Vec3::ZERO, d, normal: -Vec3::Z, hit: true };
+        let end = walk(&slab, medium, start, &mut sampler, &mut stats, |_, _| ());
+        let (r, t) = match end {
+            WalkEnd::Boundary { hit: true, weight, .. } => (weight, Rgb::ZERO),
+            WalkEnd::Boundary { hit: false, weight, .. } => (Rgb::ZERO, weight),
+            _ => (Rgb::ZERO, Rgb::ZERO),
+        };
+        reflected.add(r);
+        transmitted.add(t);
+    }
+    assert_eq!((stats.leaked, stats.too_long), (0, 0));
+    SlabFluxes { reflected, transmitted }
+}
+
+/// One row of reference_slab.csv.
+struct Row {
+    g: f32,
+    eta: f32,
+    alpha: f32,
+    tau: f32,
+    diffuse: bool,
+    r: f64,
+    t: f64,
+}
+
+/// `None`, with a word on stderr, where ../shared is absent.
+fn reference_rows() -> Option<Vec<Row>> {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/reference/reference_slab.csv");
+    let Ok(text) = std::fs::read_to_string(&file) else {
+        eprintln!("skipped: {} is absent", file.display());
+        return None;
+    };
+    let parse = |line: &str| {
+        let cell: Vec<&str> = line.split(',').collect();
+        let number = |i: usize| cell[i].parse::<f64>().expect("a number in the reference table");
+        Row {
+            g: number(0) as f32,
+            eta: number(1) as f32,
+            alpha: number(2) as f32,
+            tau: number(3) as f32,
+            diffuse: cell[4] == "diffuse",
+            r: number(7),
+            t: number(8),
+        }
+    };
+    Some(text.lines().filter(|l| l.starts_with(['0', '-'])).map(parse).collect())
+}
+
+/// |z| that one of `tests` independent tests exceeds with probability 1e-3 (Bonferroni, normal tail bound).
+fn z_limit(tests: usize) -> f64 {
+    (2.0 * (2.0 * tests as f64 / 1e-3).ln()).sqrt()
+}
+
+#[test]
+fn index_matched_slabs_match_adding_doubling() {
+    let Some(rows) = reference_rows() else { return };
+    let rows: Vec<Row> = rows.into_iter().filter(|r| r.eta == 1.0 && r.tau <= 10.0).collect();
+    assert!(rows.len() > 300);
+    let limit = z_limit(2 * rows.len());
+    let mut worst = 0.0_f64;
+    for (i, row) in rows.iter().enumerate() {
+        let medium = Medium { sigma_t: Rgb::ONE, albedo: Rgb::splat(row.alpha), g: row.g };
+        let fluxes = run_slab(&medium, row.tau, row.diffuse, 60_000, i as u32);
+        for (estimate, expected) in [(fluxes.reflected, row.r), (fluxes.transmitted, row.t)] {
+            let z = estimate.z(expected);
+            worst = worst.max(z.abs());
+            let (g, alpha, tau) = (row.g, row.alpha, row.tau);
+            assert!(z.abs() < limit, "g {g} alpha {alpha} tau {tau} {expected}: {} z {z:.2}", estimate.mean().x);
+        }
+    }
+    eprintln!("worst |z| {worst:.2} of {} (limit {limit:.2})", 2 * rows.len());
+}
+
+/// Channels with their own albedo and mean free path in one walk give what each gives alone.
+#[test]
+fn spectral_mixture_has_the_means_of_its_channels() {
+    let rgb = Medium { sigma_t: Rgb::new(0.5, 5.0, 50.0), albedo: Rgb::new(0.99, 0.8, 0.0), g: 0.0 };
+    let together = run_slab(&rgb, 1.0, true, 400_000, 7);
+    for channel in 0..3 {
+        let alone = Medium { sigma_t: Rgb::splat(rgb.sigma_t[channel]), albedo: Rgb::splat(rgb.albedo[channel]), g: 0.0 };
+        let alone = run_slab(&alone, 1.0, true, 400_000, 8);
+        for (a, b) in [(together.reflected, alone.reflected), (together.transmitted, alone.transmitted)] {
+            let variance = |e: Estimate| ((e.squares / e.n - e.mean() * e.mean()) / e.n)[channel];
+            let sigma = (variance(a) + variance(b) + 1e-18).sqrt();
+            let z = (a.mean()[channel] - b.mean()[0]) / sigma;
+            assert!(z.abs() < z_limit(6), "channel {channel}: {} against {} z {z:.2}", a.mean()[channel], b.mean()[0]);
+        }
+    }
+}
