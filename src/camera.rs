@@ -1,0 +1,201 @@
+//! The compiled camera: pixels to rays in render space (world translated to the camera).
+
+use crate::flat::{self, Projection, RenderSettings};
+use crate::sampling::concentric_disk;
+use glam::{DVec3, Mat3, Vec2, Vec3};
+
+/// A camera ray in render space: unit direction, valid for 0 < t < `t_max`.
+#[derive(Debug, Clone, Copy)]
+pub struct CameraRay {
+    pub o: Vec3,
+    pub d: Vec3,
+    pub t_max: f32,
+}
+
+/// Pixels that are rendered of the whole image: origin top left, half open.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct DataWindow {
+    pub x0: u32,
+    pub y0: u32,
+    pub x1: u32,
+    pub y1: u32,
+}
+
+impl DataWindow {
+    pub fn width(&self) -> u32 {
+        self.x1 - self.x0
+    }
+
+    pub fn height(&self) -> u32 {
+        self.y1 - self.y0
+    }
+
+    /// Pixels whose centres lie in the NDC window (y up), as CameraUtilFraming does; at least one pixel.
+    pub fn from_ndc(resolution: [u32; 2], ndc: [f32; 4]) -> Self {
+        let pixel = |x: f32, n: u32| ((x * n as f32 - 0.5).ceil().max(0.0) as u32).min(n);
+        let [w, h] = resolution;
+        let (x0, x1) = (pixel(ndc[0], w).min(w - 1), pixel(ndc[2], w));
+        let (y0, y1) = (pixel(1.0 - ndc[3], h).min(h - 1), pixel(1.0 - ndc[1], h));
+        Self { x0, y0, x1: x1.max(x0 + 1), y1: y1.max(y0 + 1) }
+    }
+}
+
+#[derive(Debug, Clone)]
+pub struct Camera {
+    /// World position of the render-space origin.
+    pub origin: DVec3,
+    /// Camera axes in render space: columns right, up, back.
+    axes: Mat3,
+    /// Full size of the window at unit distance (perspective) or in stage units (orthographic).
+    window: Vec2,
+    /// Shift of the window's centre, same unit.
+    offset: Vec2,
+    resolution: Vec2,
+    orthographic: bool,
+    near: f32,
+    far: f32,
+    lens_radius: f32,
+    focus_distance: f32,
+    /// Scale of the image: `ComputeLinearExposureScale`.
+    pub exposure: f32,
+    pub data_window: DataWindow,
+    pub size: [u32; 2],
+}
+
+impl Camera {
+    pub fn compile(camera: &flat::Camera, settings: &RenderSettings) -> Self {
+        let [right, up, back, origin] = camera.transform.map(|row| DVec3::new(row[0], row[1], row[2]));
+        // A scale in the transform does not change a GfFrustum: axes are normalised.
+        let axes = Mat3::from_cols(
+            right.normalize_or(DVec3::X).as_vec3(),
+            up.normalize_or(DVec3::Y).as_vec3(),
+            back.normalize_or(DVec3::Z).as_vec3(),
+        );
+        let size = settings.resolution.map(|n| n.max(1));
+        let resolution = Vec2::new(size[0] as f32, size[1] as f32);
+        let aperture = conform(
+            Vec2::new(camera.horizontal_aperture, camera.vertical_aperture),
+            resolution.x * settings.pixel_aspect_ratio / resolution.y,
+            &settings.aspect_ratio_conform_policy,
+        );
+        let orthographic = camera.projection == Projection::Orthographic;
+        // Apertures and focal length are in tenths of a stage unit: the unit cancels in perspective.
+        let scale = if orthographic { 0.1 } else { 1.0 / camera.focal_length };
+        let offset = Vec2::new(camera.horizontal_aperture_offset, camera.vertical_aperture_offset);
+        let depth_of_field = !settings.disable_depth_of_field && camera.f_stop > 0.0 && camera.focus_distance > 0.0;
+        Self {
+            origin,
+            axes,
+            window: aperture * scale,
+            offset: offset * scale,
+            resolution,
+            orthographic,
+            near: camera.clipping_range[0].max(0.0),
+            far: camera.clipping_range[1],
+            lens_radius: if depth_of_field { camera.focal_length * 0.1 / (2.0 * camera.f_stop) } else { 0.0 },
+            focus_distance: camera.focus_distance,
+            exposure: camera.exposure_scale,
+            data_window: DataWindow::from_ndc(size, settings.data_window_ndc),
+            size,
+        }
+    }
+
+    pub fn has_depth_of_field(&self) -> bool {
+        self.lens_radius > 0.0 && !self.orthographic
+    }
+
+    /// Ray through image position `raster` (pixels, y down); `u_lens` chooses the point on the lens.
+    pub fn ray(&self, raster: Vec2, u_lens: Vec2) -> CameraRay {
+        let ndc = Vec2::new(raster.x / self.resolution.x - 0.5, 0.5 - raster.y / self.resolution.y);
+        let film = ndc * self.window + self.offset;
+        if self.orthographic {
+            let o = self.axes * film.extend(-self.near);
+            return CameraRay { o, d: -self.axes.z_axis, t_max: self.far - self.near };
+        }
+        let mut o = Vec3::ZERO;
+        let mut d = film.extend(-1.0);
+        if self.has_depth_of_field() {
+            o = (concentric_disk(u_lens) * self.lens_radius).extend(0.0);
+            d = (d * self.focus_distance - o) / self.focus_distance;
+        }
+        // d.z = -1: t = depth along the view axis, which is what the clipping range measures.
+        let length = d.length();
+        CameraRay {
+            o: self.axes * (o + d * self.near),
+            d: self.axes * (d / length),
+            t_max: (self.far - self.near) * length,
+        }
+    }
+
+    /// Distance of a render-space point along the view axis.
+    pub fn depth(&self, p: Vec3) -> f32 {
+        -self.axes.z_axis.dot(p)
+    }
+}
+
+/// The aperture made to fit the image's aspect (UsdRender `aspectRatioConformPolicy`).
+fn conform(aperture: Vec2, aspect: f32, policy: &str) -> Vec2 {
+    let wider = aspect > aperture.x / aperture.y;
+    let adjust_width = match policy {
+        "adjustApertureWidth" => true,
+        "adjustApertureHeight" => false,
+        "cropAperture" => !wider,
+        "adjustPixelAspectRatio" => return aperture,
+        _ => wider, // expandAperture
+    };
+    if adjust_width { Vec2::new(aperture.y * aspect, aperture.y) } else { Vec2::new(aperture.x, aperture.x / aspect) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn square(n: u32) -> RenderSettings {
+        RenderSettings { resolution: [n, n], ..RenderSettings::default() }
+    }
+
+    #[test]
+    fn apertures_are_tenths_of_a_unit() {
+        let camera = flat::Camera {
+            horizontal_aperture: 36.0,
+            vertical_aperture: 36.0,
+            focal_length: 18.0,
+            clipping_range: [0.1, 1e6],
+            ..Default::default()
+        };
+        let d = Camera::compile(&camera, &square(100)).ray(Vec2::new(100.0, 50.0), Vec2::ZERO).d;
+        assert!((d.x - 0.5_f32.sqrt()).abs() < 1e-6 && d.y.abs() < 1e-6 && d.z < 0.0);
+        let camera = flat::Camera { projection: Projection::Orthographic, ..camera };
+        let o = Camera::compile(&camera, &square(100)).ray(Vec2::new(0.0, 0.0), Vec2::ZERO).o;
+        assert!((o - Vec3::new(-1.8, 1.8, -0.1)).length() < 1e-6);
+    }
+
+    #[test]
+    fn conform_policies() {
+        let a = Vec2::new(20.0, 10.0);
+        assert_eq!(conform(a, 4.0, "expandAperture"), Vec2::new(40.0, 10.0));
+        assert_eq!(conform(a, 1.0, "expandAperture"), Vec2::new(20.0, 20.0));
+        assert_eq!(conform(a, 4.0, "cropAperture"), Vec2::new(20.0, 5.0));
+        assert_eq!(conform(a, 1.0, "cropAperture"), Vec2::new(10.0, 10.0));
+        assert_eq!(conform(a, 4.0, "adjustPixelAspectRatio"), a);
+    }
+
+    #[test]
+    fn data_window_counts_pixel_centres() {
+        let all = DataWindow::from_ndc([10, 20], [0.0, 0.0, 1.0, 1.0]);
+        assert_eq!(all, DataWindow { x0: 0, y0: 0, x1: 10, y1: 20 });
+        let top_left = DataWindow::from_ndc([10, 20], [0.0, 0.75, 0.5, 1.0]);
+        assert_eq!(top_left, DataWindow { x0: 0, y0: 0, x1: 5, y1: 5 });
+    }
+
+    #[test]
+    fn points_at_focus_distance_stay_sharp() {
+        let camera = flat::Camera { f_stop: 0.5, focus_distance: 7.0, ..Default::default() };
+        let camera = Camera::compile(&camera, &square(64));
+        let at = |u: Vec2| {
+            let ray = camera.ray(Vec2::new(10.0, 50.0), u);
+            ray.o + ray.d * ((-7.0 - ray.o.z) / ray.d.z)
+        };
+        assert!((at(Vec2::new(0.1, 0.9)) - at(Vec2::new(0.8, 0.3))).length() < 1e-4);
+    }
+}

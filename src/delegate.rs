@@ -1,0 +1,393 @@
+//! The render delegate: Hydra's contract without Hydra. Prims are synced by path with dirty bits, a commit
+//! compiles what changed, a render pass runs in the background and fills AOV buffers.
+
+use crate::error::{Error, Result, Warning};
+use crate::film::{Film, Plane};
+use crate::flat::{self, FlatScene, Prim, RenderSettings, StageInfo, validate};
+use crate::integrator::PathStats;
+use crate::output::{Attribute, Frame, Layer, Samples, write_exr};
+use crate::render::{Progress, film_for, render};
+use crate::scene::{CompileStats, GeometryCache, Scene, compile};
+use serde_json::{Map, Value, json};
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+use std::thread::JoinHandle;
+use std::time::Instant;
+
+bitflags::bitflags! {
+    /// What of a prim changed; names as in HdChangeTracker.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+    pub struct DirtyBits: u32 {
+        const TOPOLOGY = 1;
+        const POINTS = 2;
+        const TRANSFORM = 4;
+        const PRIMVAR = 8;
+        const NORMALS = 16;
+        const VISIBILITY = 32;
+        const MATERIAL_ID = 64;
+        const DOUBLE_SIDED = 128;
+        const INSTANCER = 256;
+        /// Materials, lights, cameras, textures.
+        const PARAMS = 512;
+        const ALL = 1023;
+        /// Bits after which a mesh must be compiled anew.
+        const GEOMETRY = Self::TOPOLOGY.bits() | Self::POINTS.bits() | Self::PRIMVAR.bits() | Self::NORMALS.bits();
+    }
+}
+
+/// A render under way or finished.
+struct Pass {
+    film: Arc<Film>,
+    progress: Arc<Progress>,
+    thread: Option<JoinHandle<f64>>,
+    /// Seconds of rendering, once finished.
+    seconds: Option<f64>,
+    started: Instant,
+}
+
+#[derive(Default)]
+pub struct RenderDelegate {
+    flat: FlatScene,
+    geometry: GeometryCache,
+    scene: Option<Arc<Scene>>,
+    dirty: bool,
+    /// By prim, from the validation at its sync: a prim that is synced anew replaces its own.
+    prim_warnings: BTreeMap<String, Vec<Warning>>,
+    commit_warnings: Vec<Warning>,
+    compiled: CompileStats,
+    pass: Option<Pass>,
+}
+
+impl RenderDelegate {
+    pub fn new() -> Self {
+        Self { dirty: true, ..Self::default() }
+    }
+
+    /// A delegate that holds an already flattened scene, which it validates.
+    pub fn from_flat(mut flat: FlatScene) -> Self {
+        let warnings = flat.validate();
+        Self { flat, dirty: true, prim_warnings: [(String::new(), warnings)].into(), ..Self::default() }
+    }
+
+    pub fn flat(&self) -> &FlatScene {
+        &self.flat
+    }
+
+    /// Inserts a prim, or replaces the aspects of it that `bits` name. Stops a render under way.
+    pub fn sync(&mut self, path: &str, mut prim: Prim, bits: DirtyBits) {
+        self.edit();
+        if let Prim::Mesh(new) = prim {
+            prim = Prim::Mesh(self.merge_mesh(path, new, bits));
+        }
+        let mut warnings = Vec::new();
+        validate::validate_prim(path, &mut prim, &mut warnings);
+        self.prim_warnings.insert(path.into(), warnings);
+        let path = path.to_owned();
+        match prim {
+            Prim::Mesh(mesh) => drop(self.flat.meshes.insert(path, mesh)),
+            Prim::Instancer(instancer) => drop(self.flat.instancers.insert(path, instancer)),
+            Prim::Material(material) => drop(self.flat.materials.insert(path, material)),
+            Prim::Light(light) => drop(self.flat.lights.insert(path, light)),
+            Prim::Camera(camera) => drop(self.flat.cameras.insert(path, camera)),
+            Prim::Texture(texture) => drop(self.flat.textures.insert(path, texture)),
+        }
+    }
+
+    /// The mesh at `path` with the aspects in `bits` taken from `new`.
+    fn merge_mesh(&mut self, path: &str, new: flat::Mesh, bits: DirtyBits) -> flat::Mesh {
+        if bits.intersects(DirtyBits::GEOMETRY) {
+            self.geometry.remove(path);
+        }
+        let Some(old) = self.flat.meshes.remove(path).filter(|_| bits != DirtyBits::ALL) else { return new };
+        let has = |bit| bits.contains(bit);
+        let mut mesh = old;
+        if has(DirtyBits::TOPOLOGY) {
+            mesh.face_vertex_counts = new.face_vertex_counts;
+            mesh.face_vertex_indices = new.face_vertex_indices;
+            mesh.hole_indices = new.hole_indices;
+            mesh.orientation = new.orientation;
+            mesh.subdivision_scheme = new.subdivision_scheme;
+        }
+        if has(DirtyBits::TOPOLOGY) || has(DirtyBits::MATERIAL_ID) {
+            mesh.geom_subsets = new.geom_subsets;
+        }
+        if has(DirtyBits::POINTS) {
+            mesh.points = new.points;
+        }
+        if has(DirtyBits::TRANSFORM) {
+            mesh.transform = new.transform;
+        }
+        if has(DirtyBits::PRIMVAR) {
+            (mesh.st, mesh.display_color, mesh.display_opacity) = (new.st, new.display_color, new.display_opacity);
+        }
+        if has(DirtyBits::NORMALS) {
+            mesh.normals = new.normals;
+        }
+        if has(DirtyBits::VISIBILITY) {
+            mesh.visible = new.visible;
+        }
+        if has(DirtyBits::MATERIAL_ID) {
+            mesh.material = new.material;
+        }
+        if has(DirtyBits::DOUBLE_SIDED) {
+            mesh.double_sided = new.double_sided;
+        }
+        if has(DirtyBits::INSTANCER) {
+            mesh.instancer = new.instancer;
+        }
+        mesh
+    }
+
+    /// Removes whatever prim is at `path`.
+    pub fn remove(&mut self, path: &str) {
+        self.edit();
+        self.geometry.remove(path);
+        self.prim_warnings.remove(path);
+        let flat = &mut self.flat;
+        flat.meshes.remove(path);
+        flat.instancers.remove(path);
+        flat.materials.remove(path);
+        flat.lights.remove(path);
+        flat.cameras.remove(path);
+        flat.textures.remove(path);
+    }
+
+    pub fn set_stage(&mut self, stage: StageInfo) {
+        self.edit();
+        self.flat.stage = stage;
+    }
+
+    pub fn settings(&self) -> &RenderSettings {
+        &self.flat.settings
+    }
+
+    pub fn set_settings(&mut self, settings: RenderSettings) -> Result<()> {
+        settings.check()?;
+        self.edit();
+        self.flat.settings = settings;
+        Ok(())
+    }
+
+    /// Adds a warning from the bridge.
+    pub fn warn(&mut self, warning: Warning) {
+        self.flat.warnings.push(warning);
+    }
+
+    /// Every warning once: of the bridge, of validation, of the last commit.
+    pub fn warnings(&self) -> Vec<Warning> {
+        let mut seen = std::collections::BTreeSet::new();
+        let all = self.flat.warnings.iter().chain(self.prim_warnings.values().flatten()).chain(&self.commit_warnings);
+        all.filter(|w| seen.insert((&w.prim, &w.message))).cloned().collect()
+    }
+
+    /// Compiles what is dirty. A no-op where nothing is.
+    pub fn commit(&mut self) -> Result<CompileStats> {
+        if !self.dirty && self.scene.is_some() {
+            return Ok(CompileStats { blas_built: 0, seconds: 0.0, ..self.compiled });
+        }
+        self.stop();
+        self.commit_warnings.clear();
+        self.flat.validate_names(&mut self.commit_warnings);
+        let (scene, stats) = compile(&self.flat, &mut self.geometry, &mut self.commit_warnings)?;
+        self.scene = Some(Arc::new(scene));
+        self.compiled = stats;
+        self.dirty = false;
+        Ok(stats)
+    }
+
+    pub fn scene(&self) -> Option<&Arc<Scene>> {
+        self.scene.as_ref()
+    }
+
+    /// World bounds of the visible meshes.
+    pub fn bounds(&self) -> Option<([f64; 3], [f64; 3])> {
+        let mut bounds = None::<(glam::DVec3, glam::DVec3)>;
+        for mesh in self.flat.meshes.values().filter(|mesh| mesh.visible) {
+            let instancer = self.flat.instancers.get(&mesh.instancer);
+            let placements = instancer.map_or(&[flat::IDENTITY][..], |instancer| &instancer.transforms);
+            for placement in placements {
+                let (a, b) = (glam::DMat4::from_cols_array_2d(placement), glam::DMat4::from_cols_array_2d(&mesh.transform));
+                for p in mesh.points.iter().filter(|p| p.iter().all(|x| x.is_finite())) {
+                    let p = (a * b).transform_point3(glam::Vec3::from(*p).as_dvec3());
+                    let (min, max) = bounds.unwrap_or((p, p));
+                    bounds = Some((min.min(p), max.max(p)));
+                }
+            }
+        }
+        bounds.map(|(min, max)| (min.to_array(), max.to_array()))
+    }
+
+    /// Starts the render pass in the background; needs a commit.
+    pub fn start(&mut self) -> Result<()> {
+        let scene = self.scene.clone().filter(|_| !self.dirty);
+        let scene = scene.ok_or_else(|| Error::Other("commit the scene before starting a render".into()))?;
+        self.stop();
+        let settings = self.flat.settings.clone();
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(settings.threads as usize)
+            .build()
+            .map_err(|e| Error::Other(format!("threads: {e}")))?;
+        let film = Arc::new(film_for(&scene, &settings));
+        let progress = Arc::new(Progress::default());
+        let (film_of_thread, progress_of_thread) = (film.clone(), progress.clone());
+        let thread = std::thread::spawn(move || {
+            let start = Instant::now();
+            pool.install(|| render(&scene, &settings, &film_of_thread, &progress_of_thread));
+            start.elapsed().as_secs_f64()
+        });
+        self.pass = Some(Pass { film, progress, thread: Some(thread), seconds: None, started: Instant::now() });
+        Ok(())
+    }
+
+    /// (fraction done, finished).
+    pub fn poll(&mut self) -> Result<(f64, bool)> {
+        let Some(pass) = &mut self.pass else { return Ok((0.0, true)) };
+        if pass.thread.as_ref().is_some_and(|thread| thread.is_finished()) {
+            pass.join()?;
+        }
+        Ok((pass.progress.fraction(), pass.thread.is_none()))
+    }
+
+    /// Asks the render to end after the tiles under way, and waits for it.
+    pub fn stop(&mut self) {
+        if let Some(pass) = &mut self.pass {
+            pass.progress.stop();
+            // A pass that panicked is reported by poll; here it only has to be over.
+            let _ = pass.join();
+        }
+    }
+
+    /// AOVs so far, over the data window; empty before the first render.
+    pub fn snapshot(&self) -> (u32, u32, Vec<Plane>) {
+        self.pass.as_ref().map_or((0, 0, Vec::new()), |pass| {
+            let window = pass.film.data_window;
+            (window.width(), window.height(), pass.film.resolve())
+        })
+    }
+
+    /// What the committed scene needs, what was switched on and why, what was dropped.
+    pub fn explain(&self) -> Value {
+        let needs = self.scene.as_ref().map(|scene| &scene.needs);
+        json!({
+            "needs": needs,
+            "capabilities": needs.map(|needs| needs.explain()),
+            "warnings": self.warnings(),
+        })
+    }
+
+    /// The statistics of the contract.
+    pub fn stats(&self) -> Value {
+        let counts = self.pass.as_ref().map_or(PathStats::default(), |pass| pass.progress.stats());
+        let seconds = self.pass.as_ref().map_or(0.0, Pass::render_seconds);
+        json!({
+            "settings": self.flat.settings,
+            "samples_per_pixel": self.pass.as_ref().map_or(0.0, |pass| pass.film.samples_per_pixel()),
+            "seconds": { "compile": self.compiled.seconds, "train": 0.0, "render": seconds },
+            "rays": { "total": counts.rays + counts.shadow_rays + counts.walk.steps,
+                      "path": counts.rays, "shadow": counts.shadow_rays },
+            "walks": counts.walk.walks,
+            "walk_steps": counts.walk.steps,
+            "walks_leaked": counts.walk.leaked,
+            "walks_too_long": counts.walk.too_long,
+            "paths_trapped": counts.trapped,
+            "non_finite_samples": counts.non_finite,
+            "compile": self.compiled,
+            "peak_rss_bytes": peak_rss_bytes(),
+            "needs": self.scene.as_ref().map(|scene| &scene.needs),
+            "warnings": self.warnings(),
+        })
+    }
+
+    /// Writes every AOV as one EXR, with the statistics in the header beside `attributes`.
+    pub fn write_exr(&self, file: &Path, attributes: Map<String, Value>) -> Result<()> {
+        let (Some(scene), Some(pass)) = (&self.scene, &self.pass) else {
+            return Err(Error::Other("nothing was rendered yet".into()));
+        };
+        let window = scene.camera.data_window;
+        let frame = Frame {
+            resolution: scene.camera.size,
+            data_origin: [window.x0 as i32, window.y0 as i32],
+            data_size: [window.width(), window.height()],
+            pixel_aspect_ratio: self.flat.settings.pixel_aspect_ratio,
+        };
+        let planes = pass.film.resolve();
+        let layers = planes.into_iter().map(layer).collect();
+        write_exr(file, &frame, layers, &self.header(attributes))
+    }
+
+    fn header(&self, attributes: Map<String, Value>) -> Vec<(String, Attribute)> {
+        let text = |value: Value| match value {
+            Value::String(text) => text,
+            other => other.to_string(),
+        };
+        let given = attributes.into_iter().map(|(name, value)| (name, Attribute::Text(text(value))));
+        let stats = self.stats();
+        let number = |pointer: &str| stats.pointer(pointer).and_then(Value::as_f64).unwrap_or(0.0) as f32;
+        let measured = [
+            ("dermis:samplesPerPixel", "/samples_per_pixel"),
+            ("dermis:secondsRender", "/seconds/render"),
+            ("dermis:walks", "/walks"),
+            ("dermis:walkSteps", "/walk_steps"),
+            ("dermis:walksLeaked", "/walks_leaked"),
+            ("dermis:nonFiniteSamples", "/non_finite_samples"),
+        ];
+        let seed = ("dermis:seed".to_owned(), Attribute::Int(self.flat.settings.seed as i32));
+        let measured = measured.iter().map(|(name, at)| ((*name).to_owned(), Attribute::Float(number(at))));
+        given.chain(measured).chain([seed]).collect()
+    }
+
+    /// An edit makes the image stale: the render stops, the scene waits for a commit.
+    fn edit(&mut self) {
+        self.stop();
+        self.dirty = true;
+    }
+}
+
+impl Drop for RenderDelegate {
+    fn drop(&mut self) {
+        self.stop();
+    }
+}
+
+impl Pass {
+    fn join(&mut self) -> Result<()> {
+        let Some(thread) = self.thread.take() else { return Ok(()) };
+        let seconds = thread.join().map_err(|panic| {
+            let text = panic.downcast_ref::<String>().map(String::as_str).or(panic.downcast_ref::<&str>().copied());
+            Error::Other(format!("the render failed: {}", text.unwrap_or("no message")))
+        })?;
+        self.seconds = Some(seconds);
+        Ok(())
+    }
+
+    fn render_seconds(&self) -> f64 {
+        self.seconds.unwrap_or_else(|| self.started.elapsed().as_secs_f64())
+    }
+}
+
+/// A plane as EXR channels: names as compositors expect them, ids as integers.
+fn layer(plane: Plane) -> Layer<'static> {
+    let names: &[&str] = match plane.name {
+        "color" => &["R", "G", "B", "A"],
+        "depth" => &["Z"],
+        "primId" => &["id"],
+        "normal" | "position" => &["X", "Y", "Z"],
+        _ => &["R", "G", "B"],
+    };
+    let channel = |c: usize| plane.values.iter().skip(c).step_by(plane.channels);
+    let samples = |c: usize| match plane.name {
+        // -1 (nothing hit) becomes the largest id.
+        "primId" => Samples::U32(channel(c).map(|&id| id as i32 as u32).collect()),
+        _ => Samples::F32(channel(c).copied().collect()),
+    };
+    let name = if plane.name == "color" { "" } else { plane.name };
+    Layer { name, channels: names.iter().enumerate().map(|(c, n)| (*n, samples(c))).collect() }
+}
+
+/// Largest resident size so far, bytes; `None` where the system does not tell through procfs.
+fn peak_rss_bytes() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
+    line.split_whitespace().nth(1)?.parse::<u64>().ok().map(|kib| kib * 1024)
+}

@@ -1,0 +1,293 @@
+//! The film: per-pixel sums of what samples brought, kept in tiles so that threads never share a pixel.
+
+use crate::camera::DataWindow;
+use crate::math::Rgb;
+use glam::{DVec3, Vec3};
+use std::sync::Mutex;
+
+/// Side of a tile in pixels.
+const TILE: u32 = 16;
+
+/// Planes beside the beauty that a render was asked for.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Planes {
+    /// depth, normal, position, primId: of the nearest sample of a pixel, unfiltered.
+    pub geometry: bool,
+    pub albedo: bool,
+    /// direct, indirect, subsurface.
+    pub buckets: bool,
+    /// Second moments, for the variance AOV or a noise threshold.
+    pub variance: bool,
+}
+
+/// AOV names a user may ask for, and the plane each lives in.
+pub const AOVS: [&str; 10] =
+    ["alpha", "depth", "normal", "position", "albedo", "primId", "direct", "indirect", "subsurface", "variance"];
+
+impl Planes {
+    /// Planes for the AOVs in `names`; the names that are not known.
+    pub fn from_names(names: &[String]) -> (Self, Vec<String>) {
+        let has = |wanted: &[&str]| names.iter().any(|n| wanted.contains(&n.as_str()));
+        let planes = Self {
+            geometry: has(&["depth", "normal", "position", "primId"]),
+            albedo: has(&["albedo"]),
+            buckets: has(&["direct", "indirect", "subsurface"]),
+            variance: has(&["variance"]),
+        };
+        (planes, names.iter().filter(|n| !AOVS.contains(&n.as_str()) && *n != "color").cloned().collect())
+    }
+}
+
+/// What the first surface of a camera path was.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FirstHit {
+    /// Distance along the view axis, stage units.
+    pub depth: f32,
+    /// World space, unit.
+    pub normal: Vec3,
+    /// World space, stage units.
+    pub position: Vec3,
+    /// Index of the Rprim in path order.
+    pub prim_id: i32,
+}
+
+/// Depth where nothing was hit: farther than any scene, finite so that compositors can filter it.
+pub const NO_DEPTH: f32 = 1e30;
+
+impl FirstHit {
+    pub const NONE: Self = Self { depth: NO_DEPTH, normal: Vec3::ZERO, position: Vec3::ZERO, prim_id: -1 };
+}
+
+/// One sample of a pixel.
+#[derive(Debug, Clone, Copy)]
+pub struct Sample {
+    /// Light reflected by the first surface from lights, or emitted by it.
+    pub direct: Rgb,
+    pub indirect: Rgb,
+    /// Light that entered a medium at the first surface.
+    pub subsurface: Rgb,
+    pub alpha: f32,
+    pub albedo: Rgb,
+    pub first: FirstHit,
+}
+
+impl Sample {
+    pub const BLACK: Self = Self {
+        direct: Rgb::ZERO,
+        indirect: Rgb::ZERO,
+        subsurface: Rgb::ZERO,
+        alpha: 0.0,
+        albedo: Rgb::ZERO,
+        first: FirstHit::NONE,
+    };
+
+    pub fn color(&self) -> Rgb {
+        self.direct + self.indirect + self.subsurface
+    }
+}
+
+/// A block of pixels with its sums; planes that nobody asked for are empty.
+#[derive(Debug, Default)]
+pub struct Tile {
+    pub x0: u32,
+    pub y0: u32,
+    pub width: u32,
+    pub height: u32,
+    samples: Vec<u32>,
+    color: Vec<DVec3>,
+    alpha: Vec<f32>,
+    squares: Vec<DVec3>,
+    buckets: Vec<[Rgb; 3]>,
+    albedo: Vec<Rgb>,
+    first: Vec<FirstHit>,
+}
+
+impl Tile {
+    fn new(x0: u32, y0: u32, width: u32, height: u32, planes: Planes) -> Self {
+        let n = (width * height) as usize;
+        let on = |wanted: bool| if wanted { n } else { 0 };
+        Self {
+            x0,
+            y0,
+            width,
+            height,
+            samples: vec![0; n],
+            color: vec![DVec3::ZERO; n],
+            alpha: vec![0.0; n],
+            squares: vec![DVec3::ZERO; on(planes.variance)],
+            buckets: vec![[Rgb::ZERO; 3]; on(planes.buckets)],
+            albedo: vec![Rgb::ZERO; on(planes.albedo)],
+            first: vec![FirstHit::NONE; on(planes.geometry)],
+        }
+    }
+
+    /// Adds a sample to pixel `i` (row-major in the tile).
+    pub fn add(&mut self, i: usize, sample: &Sample) {
+        let color = sample.color().as_dvec3();
+        self.samples[i] += 1;
+        self.color[i] += color;
+        self.alpha[i] += sample.alpha;
+        if let Some(squares) = self.squares.get_mut(i) {
+            *squares += color * color;
+        }
+        if let Some(buckets) = self.buckets.get_mut(i) {
+            buckets[0] += sample.direct;
+            buckets[1] += sample.indirect;
+            buckets[2] += sample.subsurface;
+        }
+        if let Some(albedo) = self.albedo.get_mut(i) {
+            *albedo += sample.albedo;
+        }
+        if let Some(first) = self.first.get_mut(i).filter(|first| sample.first.depth < first.depth) {
+            *first = sample.first;
+        }
+    }
+
+    /// Variance of the mean of pixel `i`, per channel; infinite below two samples.
+    fn mean_variance(&self, i: usize) -> DVec3 {
+        let n = f64::from(self.samples[i]);
+        if n < 2.0 {
+            return DVec3::INFINITY;
+        }
+        let mean = self.color[i] / n;
+        (self.squares[i] / n - mean * mean).max(DVec3::ZERO) / (n - 1.0)
+    }
+}
+
+/// A resolved AOV: `channels` interleaved, rows top down, over the data window.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Plane {
+    pub name: &'static str,
+    pub channels: usize,
+    pub values: Vec<f32>,
+}
+
+#[derive(Debug)]
+pub struct Film {
+    pub data_window: DataWindow,
+    pub planes: Planes,
+    pub tiles: Vec<Mutex<Tile>>,
+    /// Factor on radiance when resolved (camera exposure).
+    exposure: f32,
+}
+
+impl Film {
+    pub fn new(data_window: DataWindow, planes: Planes, exposure: f32) -> Self {
+        let mut tiles = Vec::new();
+        for y0 in (data_window.y0..data_window.y1).step_by(TILE as usize) {
+            for x0 in (data_window.x0..data_window.x1).step_by(TILE as usize) {
+                let (width, height) = (TILE.min(data_window.x1 - x0), TILE.min(data_window.y1 - y0));
+                tiles.push(Mutex::new(Tile::new(x0, y0, width, height, planes)));
+            }
+        }
+        Self { data_window, planes, tiles, exposure }
+    }
+
+    /// Calls `f` with every tile in order.
+    fn for_each_tile(&self, mut f: impl FnMut(&Tile)) {
+        for tile in &self.tiles {
+            // A panic while a tile was locked left sums that are still sums.
+            f(&tile.lock().unwrap_or_else(std::sync::PoisonError::into_inner));
+        }
+    }
+
+    /// Mean samples per pixel.
+    pub fn samples_per_pixel(&self) -> f64 {
+        let mut sum = 0_u64;
+        self.for_each_tile(|tile| sum += tile.samples.iter().map(|&n| u64::from(n)).sum::<u64>());
+        sum as f64 / (f64::from(self.data_window.width()) * f64::from(self.data_window.height()))
+    }
+
+    /// Root of (mean variance of the pixel means) over (mean square of the pixels): the relative RMS error
+    /// that the samples themselves estimate. Pessimistic, since stratification is not seen by it.
+    pub fn relative_error(&self) -> f64 {
+        let (mut variance, mut square) = (0.0, 0.0);
+        self.for_each_tile(|tile| {
+            for i in 0..tile.samples.len() {
+                let mean = tile.color[i] / f64::from(tile.samples[i].max(1));
+                variance += tile.mean_variance(i).element_sum();
+                square += (mean * mean).element_sum();
+            }
+        });
+        if square > 0.0 { (variance / square).sqrt() } else { 0.0 }
+    }
+
+    /// The image so far: `color` (RGBA, premultiplied) first, then the planes asked for.
+    pub fn resolve(&self) -> Vec<Plane> {
+        let mut planes = vec![self.plane("color", 4, |t, i| {
+            let n = f64::from(t.samples[i].max(1));
+            let c = t.color[i] / n * f64::from(self.exposure);
+            [c.x as f32, c.y as f32, c.z as f32, t.alpha[i] / n as f32]
+        })];
+        let rgb = |c: Rgb| [c.x, c.y, c.z, 0.0];
+        let mean = |t: &Tile, i: usize, c: Rgb| c / t.samples[i].max(1) as f32;
+        if self.planes.geometry {
+            planes.push(self.plane("depth", 1, |t, i| [t.first[i].depth, 0.0, 0.0, 0.0]));
+            planes.push(self.plane("normal", 3, |t, i| rgb(t.first[i].normal)));
+            planes.push(self.plane("position", 3, |t, i| rgb(t.first[i].position)));
+            planes.push(self.plane("primId", 1, |t, i| [t.first[i].prim_id as f32, 0.0, 0.0, 0.0]));
+        }
+        if self.planes.albedo {
+            planes.push(self.plane("albedo", 3, |t, i| rgb(mean(t, i, t.albedo[i]))));
+        }
+        if self.planes.buckets {
+            for (b, name) in ["direct", "indirect", "subsurface"].into_iter().enumerate() {
+                planes.push(self.plane(name, 3, |t, i| rgb(mean(t, i, t.buckets[i][b]) * self.exposure)));
+            }
+        }
+        if self.planes.variance {
+            let scale = f64::from(self.exposure * self.exposure);
+            planes.push(self.plane("variance", 3, |t, i| {
+                // One sample knows nothing of its variance: 0 rather than an infinity in the file.
+                let v = if t.samples[i] < 2 { DVec3::ZERO } else { t.mean_variance(i) * scale };
+                rgb(v.as_vec3())
+            }));
+        }
+        planes
+    }
+
+    fn plane(&self, name: &'static str, channels: usize, value: impl Fn(&Tile, usize) -> [f32; 4]) -> Plane {
+        let width = self.data_window.width() as usize;
+        let mut values = vec![0.0; width * self.data_window.height() as usize * channels];
+        self.for_each_tile(|tile| {
+            for i in 0..tile.samples.len() {
+                let x = (tile.x0 - self.data_window.x0) as usize + i % tile.width as usize;
+                let y = (tile.y0 - self.data_window.y0) as usize + i / tile.width as usize;
+                let at = (y * width + x) * channels;
+                values[at..at + channels].copy_from_slice(&value(tile, i)[..channels]);
+            }
+        });
+        Plane { name, channels, values }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn planes_resolve_to_means_at_their_pixels() {
+        let window = DataWindow { x0: 3, y0: 5, x1: 40, y1: 27 };
+        let planes = Planes { geometry: true, albedo: false, buckets: true, variance: true };
+        let film = Film::new(window, planes, 2.0);
+        for tile in &film.tiles {
+            let mut tile = tile.lock().unwrap();
+            for i in 0..tile.samples.len() {
+                let x = (tile.x0 as usize + i % tile.width as usize) as f32;
+                for value in [x, x + 2.0] {
+                    let first = FirstHit { depth: value, ..FirstHit::NONE };
+                    tile.add(i, &Sample { direct: Rgb::splat(value), alpha: 1.0, first, ..Sample::BLACK });
+                }
+            }
+        }
+        let planes = film.resolve();
+        let at = |name: &str, x: usize| {
+            let plane = planes.iter().find(|p| p.name == name).unwrap();
+            plane.values[(7 * 37 + x) * plane.channels]
+        };
+        assert_eq!((at("color", 0), at("color", 36)), (8.0, 80.0));
+        assert_eq!((at("depth", 0), at("direct", 1), at("subsurface", 1)), (3.0, 10.0, 0.0));
+        assert_eq!(at("variance", 4), 4.0); // exposure^2 (population variance 1) / (n - 1)
+        assert_eq!(film.samples_per_pixel(), 2.0);
+    }
+}

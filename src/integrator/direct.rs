@@ -1,0 +1,172 @@
+//! Light: what a segment meets, and next-event estimation towards what it might have met.
+
+use super::{Bucket, Inside, Path, Previous, add_to};
+use crate::bsdf::{Boundary, Bsdf, Side};
+use crate::interaction::Interaction;
+use crate::light::LightSample;
+use crate::math::Rgb;
+use crate::medium::phase_eval;
+use crate::sampling::power_heuristic;
+use crate::scene::{Origin, Scene};
+use crate::subsurface::walk::Collision;
+use glam::{Vec2, Vec3};
+
+/// Shadow rays to a point on a mesh light stop short of it by this share of the distance, so that
+/// the light's own triangle does not shadow it; f32 positions resolve no finer.
+const SHORT: f32 = 1.0 - 1e-4;
+
+/// Faces that a shadow ray may pass before it counts as blocked.
+const MAX_LAYERS: u32 = 256;
+
+impl Path<'_> {
+    /// Adds the light shapes crossed before `t_max`. They occlude nothing, so all of them count.
+    pub(super) fn meet_light_shapes(&mut self, t_max: f32) {
+        let scene = self.scene;
+        let (o, d) = (self.o, self.d);
+        scene.light_shapes(o, d, t_max, |light, hit| {
+            let radiance = scene.lights.radiance_hit(light, d, hit);
+            let weight = self.light_weight(light, |p, n| scene.lights.pdf_hit(light, p, n, d, hit));
+            let weight = weight * self.attenuation(hit.t);
+            self.see_light(weight * radiance);
+        });
+    }
+
+    pub(super) fn meet_infinite_lights(&mut self) {
+        let scene = self.scene;
+        let d = self.d;
+        for &light in scene.lights.infinite() {
+            let weight = self.light_weight(light, |p, n| scene.lights.pdf_escaped(light, p, n, d));
+            self.see_light(weight * self.attenuation(f32::INFINITY) * scene.lights.escaped(light, d));
+        }
+    }
+
+    /// Emission of the surface material, and of the light that the mesh is.
+    pub(super) fn meet_surface_emission(&mut self, si: &Interaction) {
+        let scene = self.scene;
+        if matches!(si.side, Side::Outside) {
+            self.add(scene.surfaces[si.surface as usize].surface.emission());
+        }
+        let Some((light, first)) = scene.instances[si.instance as usize].light else { return };
+        if !si.front {
+            return;
+        }
+        let triangle = first + si.triangle;
+        let radiance = scene.lights.mesh_radiance(light, triangle, self.d);
+        let (d, at) = (self.d, si.p);
+        let weight = match self.previous {
+            // The mesh is there for the camera to see, lit up.
+            Previous::Camera => Rgb::ONE,
+            _ => self.light_weight(light, |p, n| scene.lights.pdf_mesh(light, triangle, p, n, d, at)),
+        };
+        self.add(weight * radiance);
+    }
+
+    /// MIS weight of a light met by the segment; 0 where the camera must not see it.
+    fn light_weight(&self, light: u32, light_pdf: impl Fn(Vec3, Option<Vec3>) -> f32) -> Rgb {
+        match self.previous {
+            Previous::Delta => Rgb::ONE,
+            Previous::Camera => {
+                let visible = self.settings.lights_visible_to_camera || self.scene.lights.camera_visible(light);
+                Rgb::splat(if visible { 1.0 } else { 0.0 })
+            }
+            Previous::Sampled { p, n, pdf } => Rgb::splat(power_heuristic(pdf, light_pdf(p, n))),
+        }
+    }
+
+    /// Absorption of the clear dielectric that the segment runs through.
+    fn attenuation(&self, t: f32) -> Rgb {
+        self.inside.and_then(|inside| inside.medium).map_or(Rgb::ONE, |medium| medium.transmittance(t))
+    }
+
+    fn see_light(&mut self, light: Rgb) {
+        if light == Rgb::ZERO {
+            return;
+        }
+        if matches!(self.previous, Previous::Camera) {
+            self.sample.alpha = 1.0;
+        }
+        self.add(light);
+    }
+
+    /// Light sampled at a surface, weighted against the BSDF's own sampling of the same direction.
+    pub(super) fn next_event(&mut self, si: &Interaction, bsdf: &Bsdf, u_choice: f32, u: Vec2) {
+        if bsdf.is_delta_only() {
+            return;
+        }
+        let Some(light) = self.scene.lights.sample(si.p, self.receiver(si), u_choice, u) else { return };
+        let wi = si.local(light.wi);
+        let f = bsdf.eval(wi);
+        // Shading and geometric normal must agree on the side, or light leaks through the surface.
+        let agree = (light.wi.dot(si.ng) > 0.0) == (wi.z > 0.0);
+        if f == Rgb::ZERO || !agree {
+            return;
+        }
+        let leaves = matches!(si.side, Side::Inside) && wi.z > 0.0;
+        let inside = if leaves { None } else { self.inside };
+        let origin = Some((si.instance, si.triangle));
+        let visible = self.shadow(si.origin(light.wi), &light, origin, inside);
+        let weight = if light.delta { 1.0 } else { power_heuristic(light.pdf, bsdf.pdf(wi)) };
+        self.add(f * visible * light.radiance * (weight / light.pdf));
+    }
+
+    fn shadow(&mut self, o: Vec3, light: &LightSample, origin: Origin, inside: Option<Inside>) -> Rgb {
+        self.stats.shadow_rays += 1;
+        let medium = inside.and_then(|inside| inside.medium.map(|_| inside));
+        transmittance(self.scene, o, light.wi, light.distance * SHORT, origin, medium)
+    }
+}
+
+/// Light sampled at a collision in an index-matched medium, weighted against the phase function.
+#[derive(Clone, Copy)]
+pub(super) struct CollisionLight<'a> {
+    pub scene: &'a Scene,
+    pub inside: Inside,
+    pub g: f32,
+    pub throughput: Rgb,
+    pub bucket: Bucket,
+}
+
+impl CollisionLight<'_> {
+    /// `p`: the collision in render space.
+    pub(super) fn add(&self, collision: &Collision, p: Vec3, u_choice: f32, u: Vec2, sample: &mut crate::film::Sample) {
+        let Some(light) = self.scene.lights.sample(p, None, u_choice, u) else { return };
+        let phase = phase_eval(self.g, collision.d.dot(light.wi));
+        let visible = transmittance(self.scene, p, light.wi, light.distance * SHORT, None, Some(self.inside));
+        let weight = if light.delta { 1.0 } else { power_heuristic(light.pdf, phase) };
+        let light = phase * visible * light.radiance * (weight / light.pdf);
+        add_to(sample, self.bucket, self.throughput * collision.weight * light);
+    }
+}
+
+/// Share of light that reaches along (o, d) from distance `t_max`: 0 or 1 past opaque things, opacity and
+/// index-matched media in between. `inside`: the medium that `o` is in.
+fn transmittance(scene: &Scene, o: Vec3, d: Vec3, t_max: f32, origin: Origin, inside: Option<Inside>) -> Rgb {
+    if !scene.needs.transparency && inside.is_none() {
+        return if scene.occluded(o, d, t_max, origin) { Rgb::ZERO } else { Rgb::ONE };
+    }
+    let (mut o, mut left, mut origin, mut inside) = (o, t_max, origin, inside);
+    let mut passed = Rgb::ONE;
+    for _ in 0..MAX_LAYERS {
+        let hit = scene.closest(o, d, left, origin);
+        if let Some(medium) = inside.and_then(|inside| inside.medium) {
+            passed *= medium.transmittance(hit.map_or(left, |hit| hit.t));
+        }
+        let Some(hit) = hit else { return passed };
+        let within = inside.is_some_and(|inside| inside.instance == hit.instance);
+        let si = scene.interaction(&hit, d, if within { Side::Inside } else { Side::Outside });
+        let coating = &scene.surfaces[si.surface as usize];
+        match coating.interior.filter(|interior| interior.boundary == Boundary::IndexMatched) {
+            Some(interior) => {
+                inside = (!within).then_some(Inside { instance: hit.instance, medium: Some(interior.medium) });
+            }
+            None => passed *= coating.surface.transparency(),
+        }
+        if passed.max_element() <= 0.0 {
+            return Rgb::ZERO;
+        }
+        o = si.origin(d);
+        left -= hit.t;
+        origin = Some((hit.instance, hit.triangle));
+    }
+    Rgb::ZERO
+}

@@ -1,0 +1,313 @@
+//! The path integrator: camera ray in, radiance out. One unidirectional path with next-event estimation
+//! and multiple importance sampling at surfaces, at exits of media, and at collisions where light gets in.
+
+mod direct;
+mod medium;
+
+use crate::bsdf::{Boundary, Event, Side};
+use crate::camera::CameraRay;
+use crate::film::{FirstHit, Sample};
+use crate::interaction::Interaction;
+use crate::math::Rgb;
+use crate::medium::Medium;
+use crate::sampling::sampler::Sampler;
+use crate::scene::{Origin, Scene, SurfaceHit};
+use crate::subsurface::walk::WalkStats;
+use glam::Vec3;
+
+/// Counts of one or many paths, for the statistics.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct PathStats {
+    pub rays: u64,
+    pub shadow_rays: u64,
+    pub walk: WalkStats,
+    /// Samples that were not finite; they count as black.
+    pub non_finite: u64,
+    /// Paths ended by a safety net: reflections trapped inside a dielectric, or a ray through a stack of
+    /// transparent surfaces that does not end.
+    pub trapped: u64,
+}
+
+impl PathStats {
+    pub fn add(&mut self, other: &PathStats) {
+        self.rays += other.rays;
+        self.shadow_rays += other.shadow_rays;
+        self.walk.add(&other.walk);
+        self.non_finite += other.non_finite;
+        self.trapped += other.trapped;
+    }
+}
+
+/// Limits of a path.
+#[derive(Debug, Clone, Copy)]
+pub struct PathSettings {
+    /// Surface bounces after the first hit; passing a medium counts as one.
+    pub max_depth: u32,
+    pub lights_visible_to_camera: bool,
+}
+
+/// Bounces after which roulette may end a path.
+const ROULETTE_DEPTH: u32 = 3;
+
+/// Safety net against rays that neither scatter nor leave (a perfect light trap, stacked transparent
+/// faces); counted as `trapped`.
+const MAX_CROSSINGS: u32 = 4096;
+
+/// How the current segment was sampled: what MIS needs when it meets a light.
+#[derive(Debug, Clone, Copy)]
+enum Previous {
+    Camera,
+    /// By a delta lobe, or with nothing else that could have sampled it.
+    Delta,
+    /// At `p` with normal `n` (as given to light choice), solid-angle pdf `pdf`.
+    Sampled { p: Vec3, n: Option<Vec3>, pdf: f32 },
+}
+
+/// AOV that light found next belongs to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Bucket {
+    Direct,
+    Indirect,
+    Subsurface,
+}
+
+/// The dielectric that a segment runs through, if its surface is tracked by the main loop.
+#[derive(Debug, Clone, Copy)]
+struct Inside {
+    instance: u32,
+    /// Beer-Lambert absorption; `None`: clear.
+    medium: Option<Medium>,
+}
+
+struct Path<'a> {
+    scene: &'a Scene,
+    settings: PathSettings,
+    stats: &'a mut PathStats,
+    sample: Sample,
+    throughput: Rgb,
+    depth: u32,
+    crossings: u32,
+    bucket: Bucket,
+    previous: Previous,
+    inside: Option<Inside>,
+    // The next segment.
+    o: Vec3,
+    d: Vec3,
+    t_max: f32,
+    origin: Origin,
+}
+
+/// Radiance along a camera ray.
+pub fn trace(
+    scene: &Scene,
+    settings: PathSettings,
+    ray: CameraRay,
+    sampler: &mut Sampler,
+    stats: &mut PathStats,
+) -> Sample {
+    let mut path = Path {
+        scene,
+        settings,
+        stats,
+        sample: Sample::BLACK,
+        throughput: Rgb::ONE,
+        depth: 0,
+        crossings: 0,
+        bucket: Bucket::Direct,
+        previous: Previous::Camera,
+        inside: None,
+        o: ray.o,
+        d: ray.d,
+        t_max: ray.t_max,
+        origin: None,
+    };
+    while path.segment(sampler).is_some() {}
+    let sample = path.sample;
+    if !sample.color().is_finite() {
+        path.stats.non_finite += 1;
+        return Sample { direct: Rgb::ZERO, indirect: Rgb::ZERO, subsurface: Rgb::ZERO, ..sample };
+    }
+    sample
+}
+
+impl Path<'_> {
+    /// One segment and the vertex at its end; `None` when the path is over.
+    fn segment(&mut self, sampler: &mut Sampler) -> Option<()> {
+        self.stats.rays += 1;
+        let hit = self.scene.closest(self.o, self.d, self.t_max, self.origin);
+        self.meet_light_shapes(hit.as_ref().map_or(self.t_max, |hit| hit.t));
+        let Some(hit) = hit else {
+            self.meet_infinite_lights();
+            return None;
+        };
+        if let Some(medium) = self.inside.and_then(|inside| inside.medium) {
+            self.throughput *= medium.transmittance(hit.t);
+        }
+        let si = self.scene.interaction(&hit, self.d, self.side_of(&hit));
+        self.meet_surface_emission(&si);
+        if self.depth > self.settings.max_depth {
+            return None;
+        }
+        self.scatter(&hit, &si, sampler)
+    }
+
+    fn side_of(&self, hit: &SurfaceHit) -> Side {
+        match self.inside {
+            Some(inside) if inside.instance == hit.instance => Side::Inside,
+            _ => Side::Outside,
+        }
+    }
+
+    /// Next-event estimation and a new direction at a surface.
+    fn scatter(&mut self, hit: &SurfaceHit, si: &Interaction, sampler: &mut Sampler) -> Option<()> {
+        let surface = &self.scene.surfaces[si.surface as usize].surface;
+        let bsdf = surface.bsdf(si.local(si.wo), si.side, si.display_color);
+        let (u_lobe, u_choice) = (sampler.next(), sampler.next());
+        let (u_light, u) = (sampler.next_2d(), sampler.next_2d());
+
+        let chosen = bsdf.sample(u_lobe, u);
+        let passes = matches!(&chosen, Some(s) if s.event == Event::PassThrough);
+        if !passes {
+            self.record_first_hit(si);
+        }
+        if self.depth > 0 && self.bucket == Bucket::Direct {
+            self.bucket = Bucket::Indirect;
+        }
+        self.next_event(si, &bsdf, u_choice, u_light);
+
+        let chosen = chosen?;
+        let wi = si.frame.to_world(chosen.wi);
+        self.throughput *= chosen.f / chosen.pdf;
+        match chosen.event {
+            Event::PassThrough => self.pass_through(si),
+            Event::Reflect => {
+                (wi.dot(si.ng) * outside_sign(si.side) > 0.0).then_some(())?;
+                self.bounce(si, wi, chosen.delta, chosen.pdf)?;
+                self.roulette(sampler)
+            }
+            Event::Transmit => {
+                (wi.dot(si.ng) * outside_sign(si.side) < 0.0).then_some(())?;
+                self.transmit(hit, si, wi, chosen.delta, chosen.pdf, sampler)
+            }
+            Event::EnterSubsurface => self.enter_medium(hit, si, below(wi, si.ng), sampler),
+        }
+    }
+
+    /// Opacity let the path straight through: nothing is crossed, nothing is sampled anew.
+    fn pass_through(&mut self, si: &Interaction) -> Option<()> {
+        self.cross()?;
+        self.continue_from(si, self.d);
+        Some(())
+    }
+
+    /// Through a dielectric or index-matched boundary, into or out of what the surface encloses.
+    fn transmit(
+        &mut self,
+        hit: &SurfaceHit,
+        si: &Interaction,
+        wi: Vec3,
+        delta: bool,
+        pdf: f32,
+        sampler: &mut Sampler,
+    ) -> Option<()> {
+        let interior = self.scene.surfaces[si.surface as usize].interior;
+        let entering = matches!(si.side, Side::Outside);
+        if entering && interior.is_some_and(|interior| interior.medium.scatters()) {
+            return self.enter_medium(hit, si, wi, sampler);
+        }
+        self.inside = entering.then(|| Inside { instance: si.instance, medium: interior.map(|i| i.medium) });
+        match interior {
+            // Shadow rays pass it too, so what MIS knows of the segment's start still holds.
+            Some(interior) if interior.boundary == Boundary::IndexMatched => self.pass_through(si),
+            _ => self.bounce(si, wi, delta, pdf),
+        }
+    }
+
+    /// Sets up the next segment along `wi`, sampled at `si`.
+    fn bounce(&mut self, si: &Interaction, wi: Vec3, delta: bool, pdf: f32) -> Option<()> {
+        self.previous = if delta { Previous::Delta } else { Previous::Sampled { p: si.p, n: self.receiver(si), pdf } };
+        if matches!(si.side, Side::Inside) && self.inside.is_some() {
+            self.cross()?;
+        } else {
+            self.depth += 1;
+        }
+        self.continue_from(si, wi);
+        Some(())
+    }
+
+    fn continue_from(&mut self, si: &Interaction, wi: Vec3) {
+        self.o = si.origin(wi);
+        self.d = wi;
+        self.t_max = f32::INFINITY;
+        self.origin = Some((si.instance, si.triangle));
+    }
+
+    fn cross(&mut self) -> Option<()> {
+        self.crossings += 1;
+        if self.crossings < MAX_CROSSINGS {
+            return Some(());
+        }
+        self.stats.trapped += 1;
+        None
+    }
+
+    fn roulette(&mut self, sampler: &mut Sampler) -> Option<()> {
+        if self.depth + self.crossings < ROULETTE_DEPTH {
+            return Some(());
+        }
+        let survival = self.throughput.max_element().min(1.0);
+        if sampler.random() >= survival {
+            return None;
+        }
+        self.throughput /= survival;
+        Some(())
+    }
+
+    fn record_first_hit(&mut self, si: &Interaction) {
+        if self.depth > 0 || self.sample.alpha > 0.0 {
+            return;
+        }
+        let scene = self.scene;
+        self.sample.alpha = 1.0;
+        self.sample.albedo = scene.surfaces[si.surface as usize].surface.albedo(si.display_color);
+        self.sample.first = FirstHit {
+            depth: scene.camera.depth(si.p),
+            normal: si.frame.n,
+            position: (si.p.as_dvec3() + scene.camera.origin).as_vec3(),
+            prim_id: scene.instances[si.instance as usize].prim_id,
+        };
+    }
+
+    fn add(&mut self, light: Rgb) {
+        add_to(&mut self.sample, self.bucket, self.throughput * light);
+    }
+
+    /// The normal that light choice may rely on: a surface that transmits is lit from both sides.
+    fn receiver(&self, si: &Interaction) -> Option<Vec3> {
+        let coating = &self.scene.surfaces[si.surface as usize];
+        (!coating.surface.transmits() || matches!(si.side, Side::Inside)).then_some(si.ng)
+    }
+}
+
+fn add_to(sample: &mut Sample, bucket: Bucket, light: Rgb) {
+    match bucket {
+        Bucket::Direct => sample.direct += light,
+        Bucket::Indirect => sample.indirect += light,
+        Bucket::Subsurface => sample.subsurface += light,
+    }
+}
+
+/// +1 where the outward normal is on the side of `wo`, -1 inside.
+fn outside_sign(side: Side) -> f32 {
+    match side {
+        Side::Outside => 1.0,
+        Side::Inside => -1.0,
+    }
+}
+
+/// `w` mirrored at the tangent plane if need be, so that it points below a surface whose shading normal
+/// says so: the energy of the lobe is kept.
+fn below(w: Vec3, ng: Vec3) -> Vec3 {
+    let cos = w.dot(ng);
+    if cos > 0.0 { w - 2.0 * cos * ng } else { w }
+}

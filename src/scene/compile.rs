@@ -1,0 +1,294 @@
+//! From the flattened scene to the compiled one: geometry is kept from commit to commit, the rest is cheap.
+
+use super::accel::{Aabb, Tlas};
+use super::{Coating, Geometry, Instance, Interior, Needs, Scene};
+use crate::bsdf::{self, Boundary, InteriorAlbedo, Surface};
+use crate::camera::Camera;
+use crate::error::{Error, Result, Warning};
+use crate::film::Planes;
+use crate::flat::{self, FlatScene, LightShape};
+use crate::light::Lights;
+use crate::math::{Affine, Rgb};
+use crate::medium::Medium;
+use crate::subsurface::inversion::{Illumination, single_scattering_albedo};
+use glam::{DVec3, Mat3, Vec3};
+use rayon::prelude::*;
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// Compiled geometry by mesh path; an edit removes the entries that it makes stale.
+pub type GeometryCache = BTreeMap<String, Arc<Geometry>>;
+
+/// What a commit had to build.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct CompileStats {
+    pub blas_built: usize,
+    pub instances: usize,
+    pub lights: usize,
+    pub surfaces: usize,
+    pub geometry_bytes: usize,
+    pub seconds: f64,
+}
+
+/// The shortest mean free path, stage units: 1 / sigma_t and sigma_t * t stay finite in f32.
+const MIN_MEAN_FREE_PATH: f32 = 1e-30;
+
+/// Compiles a validated scene; `cache` keeps geometry between calls.
+pub fn compile(flat: &FlatScene, cache: &mut GeometryCache, warnings: &mut Vec<Warning>) -> Result<(Scene, CompileStats)> {
+    let start = std::time::Instant::now();
+    let camera = flat.cameras.get(&flat.settings.camera).ok_or_else(|| Error::Prim {
+        prim: flat.settings.camera.clone(),
+        message: format!("no such camera; the scene has: {}", names(flat.cameras.keys())),
+    })?;
+    let camera = Camera::compile(camera, &flat.settings);
+    let blas_built = build_geometry(flat, cache);
+
+    let mut builder = Builder { flat, origin: camera.origin, warnings, needs: Needs::default(), surfaces: Vec::new() };
+    let (mut instances, emitters) = builder.place(cache);
+    let lights = builder.lights(&mut instances, emitters);
+    builder.count(&camera, &instances, &lights);
+    let (surfaces, needs) = (builder.surfaces, builder.needs);
+
+    let boxes: Vec<Aabb> = instances.iter().map(render_bounds).collect();
+    let shapes: Vec<(u32, Aabb)> = lights.shapes().map(|(light, (min, max))| (light, Aabb { min, max })).collect();
+    let scene = Scene {
+        tlas: Tlas::build(&boxes),
+        light_tlas: Tlas::build(&shapes.iter().map(|s| s.1).collect::<Vec<_>>()),
+        light_shapes: shapes.iter().map(|s| s.0).collect(),
+        camera,
+        instances,
+        surfaces,
+        lights,
+        needs,
+    };
+    let stats = CompileStats {
+        blas_built,
+        instances: scene.instances.len(),
+        lights: scene.lights.len(),
+        surfaces: scene.surfaces.len(),
+        geometry_bytes: cache.values().map(|g| g.memory()).sum(),
+        seconds: start.elapsed().as_secs_f64(),
+    };
+    Ok((scene, stats))
+}
+
+fn names<'a>(keys: impl Iterator<Item = &'a String>) -> String {
+    let names: Vec<&str> = keys.map(String::as_str).collect();
+    if names.is_empty() { "none".into() } else { names.join(", ") }
+}
+
+/// Builds what is visible and not in the cache, and forgets what is gone; the number built.
+fn build_geometry(flat: &FlatScene, cache: &mut GeometryCache) -> usize {
+    cache.retain(|path, _| flat.meshes.contains_key(path));
+    let missing: Vec<(&String, &flat::Mesh)> =
+        flat.meshes.iter().filter(|(path, mesh)| mesh.visible && !cache.contains_key(*path)).collect();
+    let built: Vec<(String, Arc<Geometry>)> =
+        missing.par_iter().map(|(path, mesh)| ((*path).clone(), Arc::new(Geometry::compile(mesh)))).collect();
+    let count = built.len();
+    cache.extend(built);
+    count
+}
+
+/// Bounds of an instance in render space.
+fn render_bounds(instance: &Instance) -> Aabb {
+    let bounds = instance.geometry.blas.bounds();
+    let centre = instance.to_render.point((bounds.min + bounds.max) * 0.5);
+    let half = instance.to_render.linear.abs() * ((bounds.max - bounds.min) * 0.5);
+    // The map of the box rounds: a few ulps of its corners keep the instance inside.
+    let slack = 8.0 * f32::EPSILON * (centre.abs() + half);
+    Aabb { min: centre - half - slack, max: centre + half + slack }
+}
+
+/// Triangles of mesh lights in render space, by mesh path.
+type Emitters = BTreeMap<String, Vec<[Vec3; 3]>>;
+
+struct Builder<'a> {
+    flat: &'a FlatScene,
+    origin: DVec3,
+    warnings: &'a mut Vec<Warning>,
+    needs: Needs,
+    surfaces: Vec<Coating>,
+}
+
+impl Builder<'_> {
+    /// Every visible placement of every mesh, in path order.
+    fn place(&mut self, cache: &GeometryCache) -> (Vec<Instance>, Emitters) {
+        let emitting = |shape: &LightShape| match shape {
+            LightShape::Mesh { mesh } => Some(mesh.clone()),
+            _ => None,
+        };
+        let mut emitters: Emitters =
+            self.flat.lights.values().filter_map(|l| emitting(&l.shape)).map(|mesh| (mesh, Vec::new())).collect();
+        let mut instances = Vec::new();
+        for (prim_id, (path, mesh)) in self.flat.meshes.iter().enumerate() {
+            let Some(geometry) = cache.get(path).filter(|g| mesh.visible && !g.triangles.is_empty()) else { continue };
+            let placements = self.placements(path, mesh, geometry.centre);
+            if placements.is_empty() {
+                continue;
+            }
+            let surfaces = self.coat(path, mesh, geometry);
+            self.needs.meshes += 1;
+            self.needs.triangles += geometry.triangles.len() as u64;
+            self.needs.instanced += placements.len() as u32 - 1;
+            for to_render in placements {
+                let translated = to_render.linear == Mat3::IDENTITY;
+                let instance =
+                    Instance { geometry: geometry.clone(), to_render, surfaces, prim_id: prim_id as i32, light: None, translated };
+                if let Some(triangles) = emitters.get_mut(path) {
+                    triangles.extend(render_triangles(&instance));
+                }
+                instances.push(instance);
+            }
+        }
+        (instances, emitters)
+    }
+
+    fn placements(&mut self, path: &str, mesh: &flat::Mesh, centre: DVec3) -> Vec<Affine> {
+        let mut place = |m: &flat::Matrix4d| {
+            let placed = Affine::from_usd(m, centre, self.origin);
+            if placed.is_none() {
+                self.warnings.push(Warning::new(path, "xformOp: the transform has no inverse in f32; placement left out"));
+            }
+            placed
+        };
+        if mesh.instancer.is_empty() {
+            return place(&mesh.transform).into_iter().collect();
+        }
+        let Some(instancer) = self.flat.instancers.get(&mesh.instancer).filter(|i| i.visible) else { return Vec::new() };
+        instancer.transforms.iter().filter_map(|m| place(&multiply(&mesh.transform, m))).collect()
+    }
+
+    /// Surfaces for the slots of a mesh; the index of the first.
+    fn coat(&mut self, path: &str, mesh: &flat::Mesh, geometry: &Geometry) -> u32 {
+        let first = self.surfaces.len() as u32;
+        let display_color = match &geometry.display_color {
+            Some(super::Attribute::Constant(color)) => Some(*color),
+            _ => None,
+        };
+        let subsets = mesh.geom_subsets.iter().map(|s| if s.material.is_empty() { &mesh.material } else { &s.material });
+        for material in std::iter::once(&mesh.material).chain(subsets) {
+            let prim = if material.is_empty() { path } else { material };
+            let standard = flat::Material::default();
+            let material = self.flat.materials.get(material).unwrap_or(&standard);
+            let surface = Surface::compile(
+                material,
+                display_color,
+                geometry.display_opacity,
+                boundary_named(&self.flat.settings.subsurface_boundary),
+                prim,
+                self.warnings,
+            );
+            let interior = surface.interior().map(|i| compile_interior(&i));
+            if interior.is_some() {
+                self.warn_if_open(path, geometry);
+            }
+            self.surfaces.push(Coating { surface, interior });
+        }
+        first
+    }
+
+    fn warn_if_open(&mut self, path: &str, geometry: &Geometry) {
+        let closure = geometry.closure();
+        if closure.open_edges > 0 {
+            let message = format!(
+                "faceVertexIndices: {} edges belong to a single face, so the mesh does not enclose its medium; \
+                 walks that leak through the gaps end (walks_leaked in the statistics): close the mesh",
+                closure.open_edges
+            );
+            self.warnings.push(Warning::new(path, message));
+        }
+    }
+
+    /// Compiles the lights and tells instances of mesh lights which triangles are theirs.
+    fn lights(&mut self, instances: &mut [Instance], emitters: Emitters) -> Lights {
+        let triangles = |mesh: &str| emitters.get(mesh).filter(|t| !t.is_empty()).cloned();
+        let lights =
+            Lights::compile(&self.flat.lights, &self.flat.textures, &triangles, self.origin, self.warnings);
+        let paths: Vec<&String> = self.flat.meshes.keys().collect();
+        let mut next: BTreeMap<i32, u32> = BTreeMap::new();
+        for instance in instances {
+            let Some(light) = lights.mesh_light(paths[instance.prim_id as usize]) else { continue };
+            let first = next.entry(instance.prim_id).or_default();
+            instance.light = Some((light, *first));
+            *first += instance.geometry.triangles.len() as u32;
+        }
+        lights
+    }
+
+    /// Fills the Needs record from what was compiled.
+    fn count(&mut self, camera: &Camera, instances: &[Instance], lights: &Lights) {
+        let needs = &mut self.needs;
+        needs.lights = lights.len() as u32;
+        needs.infinite_lights = lights.infinite().len() as u32;
+        needs.mesh_lights = instances.iter().filter(|i| i.light.is_some()).count() as u32;
+        needs.textures = self.flat.textures.len() as u32;
+        needs.depth_of_field = camera.has_depth_of_field();
+        needs.aovs = self.flat.settings.aovs.clone();
+        let (_, unknown) = Planes::from_names(&needs.aovs);
+        for name in unknown {
+            self.warnings.push(Warning::new(name, format!("unknown AOV left out; known are: {}", crate::film::AOVS.join(", "))));
+        }
+        for coating in &self.surfaces {
+            needs.transparency |= coating.surface.transparency().max_element() > 0.0;
+            let Some(interior) = coating.interior else { continue };
+            let medium = interior.medium;
+            if !medium.scatters() {
+                needs.clear_media += 1;
+            } else {
+                match interior.boundary {
+                    Boundary::Diffuse => needs.diffuse_media += 1,
+                    Boundary::Dielectric => needs.dielectric_media += 1,
+                    Boundary::IndexMatched => needs.index_matched_media += 1,
+                }
+            }
+            needs.transparency |= interior.boundary == Boundary::IndexMatched;
+            let differs = |c: Rgb| c.max_element() != c.min_element();
+            needs.rgb_media |= differs(medium.sigma_t) || differs(medium.albedo);
+            needs.anisotropic_media |= medium.g != 0.0;
+        }
+    }
+}
+
+/// Row-vector product: first `a`, then `b`.
+fn multiply(a: &flat::Matrix4d, b: &flat::Matrix4d) -> flat::Matrix4d {
+    std::array::from_fn(|i| std::array::from_fn(|j| (0..4).map(|k| a[i][k] * b[k][j]).sum()))
+}
+
+/// Triangles of an instance in render space, wound so that their front is the mesh's front.
+fn render_triangles(instance: &Instance) -> impl Iterator<Item = [Vec3; 3]> + '_ {
+    let mirrored = instance.to_render.linear.determinant() < 0.0;
+    (0..instance.geometry.triangles.len() as u32).map(move |i| {
+        let [a, b, c] = instance.geometry.corners(i).map(|p| instance.to_render.point(p));
+        if mirrored { [a, c, b] } else { [a, b, c] }
+    })
+}
+
+/// The boundary that the setting `subsurfaceBoundary` forces on every medium; `None` for `auto`.
+fn boundary_named(name: &str) -> Option<Boundary> {
+    match name {
+        "diffuse" => Some(Boundary::Diffuse),
+        "dielectric" => Some(Boundary::Dielectric),
+        "indexMatched" => Some(Boundary::IndexMatched),
+        _ => None,
+    }
+}
+
+/// Coefficients from what the artist gave: colours go through the inversion for their boundary. Diffuse and
+/// index-matched boundaries reflect nothing back in (eta 1); OpenPBR defines the colour behind a dielectric
+/// for light at normal incidence.
+fn compile_interior(interior: &bsdf::Interior) -> Interior {
+    let albedo = match interior.albedo {
+        InteriorAlbedo::Single(albedo) => albedo,
+        InteriorAlbedo::Color(color) => {
+            let (eta, illumination) = match interior.boundary {
+                Boundary::Diffuse | Boundary::IndexMatched => (1.0, Illumination::Diffuse),
+                Boundary::Dielectric => (interior.eta, Illumination::Normal),
+            };
+            single_scattering_albedo(color, interior.g, eta, illumination)
+        }
+    };
+    let radius = interior.radius.max(Rgb::splat(MIN_MEAN_FREE_PATH));
+    // An infinite mean free path is a vacuum: 1 / inf = 0.
+    Interior { boundary: interior.boundary, medium: Medium { sigma_t: 1.0 / radius, albedo, g: interior.g } }
+}

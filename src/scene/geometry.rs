@@ -1,0 +1,205 @@
+//! A mesh made ready for rays: triangles about their centre, a BVH, and attributes at the corners.
+
+use super::accel::Blas;
+use crate::flat::{self, Interpolation, Orientation, Primvar, array::Element};
+use glam::{DVec3, Vec3};
+
+/// Values over a mesh, by the cheapest index that carries them.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Attribute<T> {
+    Constant(T),
+    /// By point index.
+    Point(Vec<T>),
+    /// By triangle.
+    Triangle(Vec<T>),
+    /// By triangle and corner.
+    Corner(Vec<[T; 3]>),
+}
+
+impl<T: Copy + std::ops::Mul<f32, Output = T> + std::ops::Add<Output = T>> Attribute<T> {
+    /// Linear interpolation at barycentrics (1 - u - v, u, v).
+    pub fn at(&self, triangle: usize, corners: [u32; 3], u: f32, v: f32) -> T {
+        let [a, b, c] = match self {
+            Attribute::Constant(value) => return *value,
+            Attribute::Triangle(values) => return values[triangle],
+            Attribute::Point(values) => corners.map(|i| values[i as usize]),
+            Attribute::Corner(values) => values[triangle],
+        };
+        a * (1.0 - u - v) + b * u + c * v
+    }
+}
+
+/// How well a surface closes a volume; found only for meshes with a medium.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Closure {
+    /// Edges (of points welded by position) that do not join exactly two faces.
+    pub open_edges: u32,
+    /// Edges whose two faces wind the same way.
+    pub flipped_edges: u32,
+}
+
+pub struct Geometry {
+    /// Object space minus `centre`, so that f32 resolves a mesh far from its origin.
+    pub points: Vec<Vec3>,
+    pub triangles: Vec<[u32; 3]>,
+    pub centre: DVec3,
+    pub blas: Blas,
+    /// Shading normals in object space, not unit; `None`: flat.
+    pub normals: Option<Attribute<Vec3>>,
+    pub display_color: Option<Attribute<Vec3>>,
+    pub display_opacity: f32,
+    /// Material slot per triangle: 0 the mesh's own, i the (i-1)th GeomSubset; `None`: all 0.
+    pub slots: Option<Vec<u16>>,
+}
+
+/// Triangles of a mesh with what they came from.
+struct Triangulation {
+    triangles: Vec<[u32; 3]>,
+    /// Face-vertex index of each corner.
+    corners: Vec<[u32; 3]>,
+    faces: Vec<u32>,
+}
+
+impl Geometry {
+    /// From a validated mesh: every index is in range, every point finite.
+    pub fn compile(mesh: &flat::Mesh) -> Self {
+        let soup = triangulate(mesh);
+        let centre = centre(&mesh.points);
+        let points: Vec<Vec3> = mesh.points.iter().map(|p| (Vec3::from(*p).as_dvec3() - centre).as_vec3()).collect();
+        let blas = Blas::build(&points, &soup.triangles);
+        let normals = match (&mesh.normals, mesh.subdivision_scheme.as_str()) {
+            (Some(normals), "none") => Some(attribute(normals, &soup, Vec3::from)),
+            (None, "none") => None,
+            // A subdivision surface is smooth even as its control cage.
+            _ => Some(Attribute::Point(smooth_normals(&points, &soup.triangles))),
+        };
+        Self {
+            normals,
+            display_color: mesh.display_color.as_ref().map(|c| attribute(c, &soup, Vec3::from)),
+            display_opacity: mesh.display_opacity.as_ref().and_then(|o| o.values.first().copied()).unwrap_or(1.0),
+            slots: slots(mesh, &soup.faces),
+            points,
+            triangles: soup.triangles,
+            centre,
+            blas,
+        }
+    }
+
+    /// Corner positions of a triangle, centred object space.
+    pub fn corners(&self, triangle: u32) -> [Vec3; 3] {
+        self.triangles[triangle as usize].map(|i| self.points[i as usize])
+    }
+
+    pub fn slot(&self, triangle: u32) -> usize {
+        self.slots.as_ref().map_or(0, |slots| usize::from(slots[triangle as usize]))
+    }
+
+    pub fn memory(&self) -> usize {
+        self.points.len() * 12 + self.triangles.len() * 12 + self.blas.memory()
+    }
+
+    /// Counts edges that keep the mesh from enclosing a volume.
+    pub fn closure(&self) -> Closure {
+        let mut ids = std::collections::HashMap::new();
+        let welded: Vec<u32> = self
+            .points
+            .iter()
+            .map(|p| {
+                let next = ids.len() as u32;
+                // + 0.0 makes -0 and 0 one key.
+                *ids.entry((*p + Vec3::ZERO).to_array().map(f32::to_bits)).or_insert(next)
+            })
+            .collect();
+        let mut edges = std::collections::HashMap::<(u32, u32), (u32, i32)>::new();
+        for triangle in &self.triangles {
+            let [a, b, c] = triangle.map(|i| welded[i as usize]);
+            for (i, j) in [(a, b), (b, c), (c, a)] {
+                if i != j {
+                    let edge = edges.entry((i.min(j), i.max(j))).or_default();
+                    edge.0 += 1;
+                    edge.1 += if i < j { 1 } else { -1 };
+                }
+            }
+        }
+        let count = |f: &dyn Fn(&(u32, i32)) -> bool| edges.values().filter(|e| f(e)).count() as u32;
+        Closure { open_edges: count(&|e| e.0 % 2 != 0), flipped_edges: count(&|e| e.0 % 2 == 0 && e.1 != 0) }
+    }
+}
+
+/// Centre of the bounding box; any point of it serves, the middle rounds least.
+fn centre(points: &[[f32; 3]]) -> DVec3 {
+    let mut bounds = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+    for p in points.iter().map(|p| Vec3::from(*p)).filter(|p| p.is_finite()) {
+        bounds = (bounds.0.min(p), bounds.1.max(p));
+    }
+    if bounds.0.x > bounds.1.x { DVec3::ZERO } else { (bounds.0.as_dvec3() + bounds.1.as_dvec3()) * 0.5 }
+}
+
+/// Fans, as Hydra's HdMeshUtil; holes left out, left-handed faces turned so that winding is outward.
+fn triangulate(mesh: &flat::Mesh) -> Triangulation {
+    let holes: std::collections::BTreeSet<i32> = mesh.hole_indices.iter().copied().collect();
+    let left_handed = mesh.orientation == Orientation::LeftHanded;
+    let n = mesh.face_vertex_indices.len().saturating_sub(2 * mesh.face_vertex_counts.len());
+    let mut soup =
+        Triangulation { triangles: Vec::with_capacity(n), corners: Vec::with_capacity(n), faces: Vec::with_capacity(n) };
+    let mut first = 0_u32;
+    for (face, &count) in mesh.face_vertex_counts.iter().enumerate() {
+        let count = count as u32;
+        if holes.is_empty() || !holes.contains(&(face as i32)) {
+            for k in 1..count.saturating_sub(1) {
+                let (b, c) = if left_handed { (k + 1, k) } else { (k, k + 1) };
+                let corners = [first, first + b, first + c];
+                soup.triangles.push(corners.map(|i| mesh.face_vertex_indices[i as usize] as u32));
+                soup.corners.push(corners);
+                soup.faces.push(face as u32);
+            }
+        }
+        first += count;
+    }
+    soup
+}
+
+fn attribute<T: Element, U: Copy>(primvar: &Primvar<T>, soup: &Triangulation, convert: impl Fn(T) -> U) -> Attribute<U> {
+    let value = |i: usize| {
+        let i = primvar.indices.as_ref().map_or(i, |indices| indices[i] as usize);
+        convert(primvar.values[i])
+    };
+    match primvar.interpolation {
+        Interpolation::Constant => Attribute::Constant(value(0)),
+        Interpolation::Uniform => Attribute::Triangle(soup.faces.iter().map(|&f| value(f as usize)).collect()),
+        Interpolation::Vertex | Interpolation::Varying => {
+            let n = primvar.indices.as_ref().map_or(primvar.values.len(), |indices| indices.len());
+            Attribute::Point((0..n).map(value).collect())
+        }
+        Interpolation::FaceVarying => {
+            Attribute::Corner(soup.corners.iter().map(|c| c.map(|i| value(i as usize))).collect())
+        }
+    }
+}
+
+/// Normals at points, weighted by area; not unit.
+fn smooth_normals(points: &[Vec3], triangles: &[[u32; 3]]) -> Vec<Vec3> {
+    let mut normals = vec![Vec3::ZERO; points.len()];
+    for triangle in triangles {
+        let [a, b, c] = triangle.map(|i| points[i as usize]);
+        let n = (b - a).cross(c - a);
+        for &i in triangle {
+            normals[i as usize] += n;
+        }
+    }
+    normals
+}
+
+/// Slot per triangle; the last subset that claims a face wins (families are non-overlapping).
+fn slots(mesh: &flat::Mesh, faces: &[u32]) -> Option<Vec<u16>> {
+    if mesh.geom_subsets.is_empty() {
+        return None;
+    }
+    let mut by_face = vec![0_u16; mesh.face_vertex_counts.len()];
+    for (i, subset) in mesh.geom_subsets.iter().enumerate() {
+        for &face in subset.indices.iter() {
+            by_face[face as usize] = i as u16 + 1;
+        }
+    }
+    Some(faces.iter().map(|&f| by_face[f as usize]).collect())
+}

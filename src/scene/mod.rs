@@ -1,0 +1,158 @@
+//! The compiled scene: immutable, in render space (world translated to the camera), ready for rays.
+
+pub mod accel;
+mod compile;
+mod enclosure;
+mod geometry;
+mod needs;
+
+pub use compile::{CompileStats, GeometryCache, compile};
+pub use enclosure::{BoundaryHit, InstanceEnclosure};
+pub use geometry::{Attribute, Closure, Geometry};
+pub use needs::{Explanation, Needs};
+
+use crate::bsdf::{Boundary, Side, Surface};
+use crate::camera::Camera;
+use crate::interaction::{Interaction, shading_normal};
+use crate::light::{Lights, ShapeHit};
+use crate::math::{Affine, Frame};
+use crate::medium::Medium;
+use accel::{Ray, Tlas};
+use glam::Vec3;
+use std::sync::Arc;
+
+/// The inside of a surface that has one.
+#[derive(Debug, Clone, Copy)]
+pub struct Interior {
+    pub boundary: Boundary,
+    pub medium: Medium,
+}
+
+/// A placement of a geometry.
+pub struct Instance {
+    pub geometry: Arc<Geometry>,
+    /// Centred object space to render space.
+    pub to_render: Affine,
+    /// First of its surfaces in `Scene::surfaces`, one per material slot.
+    pub surfaces: u32,
+    pub prim_id: i32,
+    /// Light and index of its first triangle there, if the mesh is a light.
+    pub light: Option<(u32, u32)>,
+    /// The linear part is the identity: rays need no rotation.
+    pub(crate) translated: bool,
+}
+
+/// A surface and what it encloses.
+#[derive(Debug, Clone)]
+pub struct Coating {
+    pub surface: Surface,
+    pub interior: Option<Interior>,
+}
+
+pub struct Scene {
+    pub camera: Camera,
+    pub instances: Vec<Instance>,
+    tlas: Tlas,
+    pub surfaces: Vec<Coating>,
+    pub lights: Lights,
+    light_shapes: Vec<u32>,
+    light_tlas: Tlas,
+    pub needs: Needs,
+}
+
+/// Closest surface along a ray.
+#[derive(Debug, Clone, Copy)]
+pub struct SurfaceHit {
+    pub t: f32,
+    pub instance: u32,
+    pub triangle: u32,
+    pub u: f32,
+    pub v: f32,
+}
+
+/// A triangle of an instance, to be left out by a ray that starts on it.
+pub type Origin = Option<(u32, u32)>;
+
+impl Instance {
+    /// A ray whose origin is relative to the instance's own, in centred object space; `t` is unchanged.
+    pub(crate) fn local_ray(&self, o: Vec3, d: Vec3, t_max: f32) -> Ray {
+        if self.translated {
+            return Ray { o, d, t_max };
+        }
+        Ray { o: self.to_render.inverse * o, d: self.to_render.inverse * d, t_max }
+    }
+}
+
+impl Scene {
+    /// Closest surface for 0 < t < `t_max`; `d` unit, render space.
+    pub fn closest(&self, o: Vec3, d: Vec3, t_max: f32, origin: Origin) -> Option<SurfaceHit> {
+        let mut ray = Ray { o, d, t_max };
+        let mut closest = None;
+        self.tlas.traverse(&mut ray, |i, ray| {
+            let instance = &self.instances[i as usize];
+            let local = instance.local_ray(o - instance.to_render.translation, d, ray.t_max);
+            let skip = origin.filter(|(at, _)| *at == i).map_or(u32::MAX, |(_, triangle)| triangle);
+            if let Some(hit) = instance.geometry.blas.closest(&local, skip) {
+                ray.t_max = hit.t;
+                closest = Some(SurfaceHit { t: hit.t, instance: i, triangle: hit.triangle, u: hit.u, v: hit.v });
+            }
+            false
+        });
+        closest
+    }
+
+    /// Calls `visit` for every light shape crossed for 0 < t < `t_max`. Lights cast no shadows.
+    pub fn light_shapes(&self, o: Vec3, d: Vec3, t_max: f32, mut visit: impl FnMut(u32, &ShapeHit)) {
+        if self.light_shapes.is_empty() {
+            return;
+        }
+        self.light_tlas.traverse(&mut Ray { o, d, t_max }, |i, _| {
+            let light = self.light_shapes[i as usize];
+            if let Some(hit) = self.lights.intersect(light, o, d, t_max) {
+                visit(light, &hit);
+            }
+            false
+        });
+    }
+
+    /// The surface point of a hit on a path that travels along `d`.
+    pub fn interaction(&self, hit: &SurfaceHit, d: Vec3, side: Side) -> Interaction {
+        let instance = &self.instances[hit.instance as usize];
+        let geometry = &instance.geometry;
+        let [a, b, c] = geometry.corners(hit.triangle);
+        let local = a * (1.0 - hit.u - hit.v) + b * hit.u + c * hit.v;
+        let m = &instance.to_render;
+        let front_normal = m.normal((b - a).cross(c - a)).normalize_or(-d);
+        let front = front_normal.dot(d) <= 0.0;
+        let outward = matches!(side, Side::Outside) == front;
+        let ng = if outward { front_normal } else { -front_normal };
+        let wo = -d;
+        let corners = geometry.triangles[hit.triangle as usize];
+        let ns = geometry.normals.as_ref().map_or(ng, |normals| {
+            let n = m.normal(normals.at(hit.triangle as usize, corners, hit.u, hit.v));
+            // Inside, the side of wo is -ng: bend there, then turn back.
+            match side {
+                Side::Outside => shading_normal(n, ng, wo),
+                Side::Inside => -shading_normal(n, -ng, wo),
+            }
+        });
+        // Rounding of the barycentric sum and of the affine map: a few ulps of the largest term.
+        let extent = (m.linear.abs() * (a.abs().max(b.abs()).max(c.abs()))) + m.translation.abs();
+        Interaction {
+            p: m.point(local),
+            error: 4.0 * f32::EPSILON * extent.max_element(),
+            ng,
+            frame: Frame::from_normal(ns),
+            wo,
+            side,
+            instance: hit.instance,
+            triangle: hit.triangle,
+            surface: instance.surfaces + geometry.slot(hit.triangle) as u32,
+            front,
+            display_color: match &geometry.display_color {
+                None | Some(Attribute::Constant(_)) => None,
+                Some(color) => Some(color.at(hit.triangle as usize, corners, hit.u, hit.v)),
+            },
+        }
+    }
+}
