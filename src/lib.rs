@@ -3,4 +3,6 @@
 pub mod error;
 pub mod flat;
 pub mod math;
+pub mod output;
+mod replace;
 pub mod sampling;
