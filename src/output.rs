@@ -82,32 +82,13 @@ const REC709: Chromaticities = Chromaticities {
     white: Vec2(0.3127, 0.3290),
 };
 
-/// Attributes that the layout of the file decides (OpenEXR file layout, "Header"): never metadata.
-const RESERVED: [&str; 17] = [
-    "channels",
-    "chromaticities",
-    "chunkCount",
-    "compression",
-    "dataWindow",
-    "displayWindow",
-    "lineOrder",
-    "maxSamplesPerPixel",
-    "name",
-    "pixelAspectRatio",
-    "preview",
-    "screenWindowCenter",
-    "screenWindowWidth",
-    "tiles",
-    "type",
-    "version",
-    "view",
-];
+const SOFTWARE: &str = concat!("dermis ", env!("CARGO_PKG_VERSION"));
 
 /// Length in bytes that every reader takes for names of channels and attributes ("long names" of the format).
 const LONGEST_NAME: usize = 255;
 
 /// Writes the layers as one ZIP-compressed, scene-linear Rec.709 part; `attributes` are metadata under
-/// their own names. The file appears under its name only when it is whole.
+/// their own names, which must not be names that OpenEXR defines: give them a prefix, `dermis/seed`. The file appears under its name only when it is whole.
 ///
 /// # Errors
 /// Each names the file: an empty window, a channel whose length is not that of the data window, a name
@@ -172,8 +153,8 @@ fn metadata(attributes: &[(String, Attribute)]) -> std::result::Result<Vec<(Text
     let mut names = BTreeSet::new();
     let mut list = Vec::with_capacity(attributes.len());
     for (name, value) in attributes {
-        if RESERVED.contains(&name.as_str()) || !names.insert(name) {
-            return Err(format!("{name} is reserved by the format or there twice"));
+        if !names.insert(name) {
+            return Err(format!("{name} is there twice"));
         }
         list.push((checked_name(name)?, attribute_value(value)));
     }
@@ -205,6 +186,7 @@ fn image(
     let size = |[x, y]: [u32; 2]| Vec2(x as usize, y as usize);
     let layer_attributes = LayerAttributes {
         layer_position: Vec2(frame.data_origin[0], frame.data_origin[1]),
+        software_name: Some(Text::from_slice_unchecked(SOFTWARE.as_bytes())),
         other: metadata.into_iter().collect(),
         ..LayerAttributes::default()
     };
@@ -322,7 +304,7 @@ mod tests {
             (message(&Frame::full([u32::MAX, 4]), Vec::new(), &[]), "is too large"),
             (message(&Frame { data_origin: [i32::MAX, 0], ..frame }, layers(16), &[]), "is too large"),
             (message(&Frame { pixel_aspect_ratio: f32::NAN, ..frame }, layers(16), &[]), "pixelAspectRatio NaN"),
-            (message(&frame, layers(16), &[("dataWindow".into(), Attribute::Int(1))]), "dataWindow is reserved"),
+            (message(&frame, layers(16), &[("dataWindow".into(), Attribute::Int(1))]), "`dataWindow` is reserved"),
             (message(&frame, layers(16), &[("a\0b".into(), Attribute::Int(1))]), "is no name"),
         ];
         for (message, part) in cases {
