@@ -4,5 +4,7 @@ pub mod error;
 pub mod flat;
 pub mod math;
 pub mod medium;
+pub mod output;
+mod replace;
 pub mod sampling;
 pub mod subsurface;

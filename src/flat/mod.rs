@@ -2,10 +2,14 @@
 
 pub mod array;
 mod camera;
+pub mod file;
 mod light;
 mod material;
 mod mesh;
+#[cfg(test)]
+pub(crate) mod sample;
 mod settings;
+pub mod validate;
 
 pub use array::Array;
 pub use camera::{Camera, Projection};

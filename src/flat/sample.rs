@@ -1,0 +1,72 @@
+//! A small scene with one of everything, for tests.
+
+use super::*;
+
+/// A cube of six quads with every kind of primvar.
+pub(crate) fn cube() -> Mesh {
+    let points: Vec<[f32; 3]> = (0..8).map(|i| [0, 1, 2].map(|axis| ((i >> axis) & 1) as f32)).collect();
+    let faces = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+    let st = vec![[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]];
+    let primvar = |interpolation, values: Vec<f32>| Primvar { interpolation, values: values.into(), indices: None };
+    Mesh {
+        points: points.clone().into(),
+        face_vertex_counts: vec![4; 6].into(),
+        face_vertex_indices: faces.as_flattened().to_vec().into(),
+        hole_indices: vec![5].into(),
+        normals: Some(Primvar { interpolation: Interpolation::Vertex, values: points.into(), indices: None }),
+        st: Some(Primvar {
+            interpolation: Interpolation::FaceVarying,
+            values: st.into(),
+            indices: Some([0, 1, 2, 3].repeat(6).into()),
+        }),
+        display_color: Some(Primvar {
+            interpolation: Interpolation::FaceVarying,
+            values: (0..24).map(|i| [i as f32 / 24.0; 3]).collect::<Vec<_>>().into(),
+            indices: None,
+        }),
+        display_opacity: Some(primvar(Interpolation::Uniform, vec![0.0, 0.1, 0.2, 0.3, 0.4, 0.5])),
+        material: "/looks/skin".into(),
+        geom_subsets: vec![GeomSubset {
+            path: "/cube/top".into(),
+            indices: vec![1, 3, 4].into(),
+            material: "/looks/wax".into(),
+        }],
+        ..Mesh::default()
+    }
+}
+
+fn light(shape: LightShape) -> Light {
+    Light { shape, ..Light::default() }
+}
+
+pub(crate) fn scene() -> FlatScene {
+    let mut scene = FlatScene::default();
+    scene.stage.file = "/shots/müller \"quoted\".usda".into();
+    scene.meshes.insert("/cube".into(), cube());
+    scene.meshes.insert("/leaf".into(), Mesh { instancer: "/tree".into(), ..cube() });
+    let transforms = vec![IDENTITY, [[2.0, 0.0, 0.0, 0.0], IDENTITY[1], IDENTITY[2], [3.0, 4.0, 5.0, 1.0]]];
+    scene.instancers.insert("/tree".into(), Instancer { visible: true, transforms: transforms.into() });
+    scene.materials.insert("/looks/skin".into(), Material::default());
+    scene.materials.insert("/looks/wax".into(), Material::OpenPbr(OpenPbrSurface::default()));
+    scene.materials.insert("/looks/jade".into(), Material::StandardSurface(StandardSurface::default()));
+    scene.lights.insert(
+        "/key".into(),
+        Light { shaping: Some(Shaping::default()), ..light(LightShape::Sphere { radius: 0.5 }) },
+    );
+    scene.lights.insert("/sky".into(), light(LightShape::Dome { texture: "/sky.exr".into(), pole_axis: "Y".into() }));
+    scene
+        .lights
+        .insert("/window".into(), light(LightShape::Rect { width: 1.0, height: 2.0, texture: "/sky.exr".into() }));
+    scene.lights.insert("/tube".into(), light(LightShape::Cylinder { length: 1.0, radius: 0.1 }));
+    scene.lights.insert("/sun".into(), light(LightShape::Distant { angle: 0.53 }));
+    scene.lights.insert("/lamp".into(), light(LightShape::Mesh { mesh: "/cube".into() }));
+    scene.cameras.insert("/camera".into(), Camera::default());
+    let pixels = vec![[0.25, 0.5, 1.0], [0.1, 0.0, 3e4], [1.0; 3], [0.0; 3], [2.0; 3], [4.0; 3]];
+    scene
+        .textures
+        .insert("/sky.exr".into(), Texture { file: "sky.exr".into(), width: 3, height: 2, pixels: pixels.into() });
+    scene.settings.camera = "/camera".into();
+    scene.settings.aovs = vec!["depth".into(), "albedo".into()];
+    scene.warnings.push(crate::error::Warning::new("/curves", "BasisCurves are not rendered"));
+    scene
+}

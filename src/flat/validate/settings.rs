@@ -1,0 +1,73 @@
+//! Render settings: typed by a user, so a wrong one is an error and never a guess.
+
+use crate::{
+    error::{Error, Result},
+    flat::RenderSettings,
+};
+
+/// Pixels per side: above it the AOVs of one image fill the memory of any machine.
+const LARGEST_RESOLUTION: u32 = 1 << 16;
+
+const POLICIES: [&str; 5] =
+    ["expandAperture", "cropAperture", "adjustApertureWidth", "adjustApertureHeight", "adjustPixelAspectRatio"];
+const WALKS: [&str; 2] = ["auto", "classical"];
+const BOUNDARIES: [&str; 4] = ["auto", "diffuse", "dielectric", "indexMatched"];
+const AOVS: [&str; 10] =
+    ["alpha", "depth", "normal", "position", "albedo", "primId", "direct", "indirect", "subsurface", "variance"];
+
+impl RenderSettings {
+    /// Refuses what no image can be rendered with.
+    ///
+    /// # Errors
+    /// [`Error::Prim`] of `render settings`, naming the setting, its value and what it takes.
+    pub fn check(&self) -> Result<()> {
+        let sides = 1..=LARGEST_RESOLUTION;
+        let [width, height] = self.resolution;
+        if !(sides.contains(&width) && sides.contains(&height)) {
+            return refuse("resolution", format!("{width} x {height}"), "1 to 65536 pixels per side");
+        }
+        // Bounds of the EXR attribute.
+        if !(1e-6..=1e6).contains(&self.pixel_aspect_ratio) {
+            return refuse("pixelAspectRatio", self.pixel_aspect_ratio, "a number from 1e-6 to 1e6");
+        }
+        self.check_data_window()?;
+        if self.samples == 0 || self.sample_offset.checked_add(self.samples).is_none() {
+            return refuse("samples", self.samples, "1 or more, which with sampleOffset stay below 2^32");
+        }
+        // Not `< 0.0`, which NaN passes.
+        if !(self.time_limit >= 0.0 && self.time_limit.is_finite()) {
+            return refuse("timeLimit", self.time_limit, "seconds, 0 for no limit");
+        }
+        if !(self.noise_threshold >= 0.0 && self.noise_threshold.is_finite()) {
+            return refuse("noiseThreshold", self.noise_threshold, "a relative error, 0 for none");
+        }
+        self.check_tokens()
+    }
+
+    /// USD lets the window reach beyond the image (overscan), but not by any amount of memory.
+    fn check_data_window(&self) -> Result<()> {
+        let window @ [x0, y0, x1, y1] = self.data_window_ndc;
+        let [width, height] = self.resolution.map(|side| side as f32);
+        let fits = |size: f32| size > 0.0 && size <= LARGEST_RESOLUTION as f32;
+        let near = window.iter().all(|edge| edge.abs() <= LARGEST_RESOLUTION as f32);
+        if !(near && fits((x1 - x0) * width) && fits((y1 - y0) * height)) {
+            return refuse("dataWindowNDC", format!("{window:?}"), "x0 y0 x1 y1 with x0 < x1 and y0 < y1");
+        }
+        Ok(())
+    }
+
+    fn check_tokens(&self) -> Result<()> {
+        check_token("aspectRatioConformPolicy", &self.aspect_ratio_conform_policy, &POLICIES)?;
+        check_token("walk", &self.walk, &WALKS)?;
+        check_token("subsurfaceBoundary", &self.subsurface_boundary, &BOUNDARIES)?;
+        self.aovs.iter().try_for_each(|aov| check_token("aovs", aov, &AOVS))
+    }
+}
+
+fn check_token(name: &str, value: &str, allowed: &[&str]) -> Result<()> {
+    if allowed.contains(&value) { Ok(()) } else { refuse(name, format!("{value:?}"), &allowed.join(", ")) }
+}
+
+fn refuse(name: &str, value: impl std::fmt::Display, wanted: &str) -> Result<()> {
+    Err(Error::Prim { prim: "render settings".into(), message: format!("{name} is {value}; give {wanted}") })
+}
