@@ -3,7 +3,7 @@
 use super::{Bucket, Inside, Path, Previous, add_to};
 use crate::bsdf::{Boundary, Bsdf, Side};
 use crate::interaction::Interaction;
-use crate::light::LightSample;
+use crate::light::{LightSample, ShapeHit};
 use crate::math::Rgb;
 use crate::medium::phase_eval;
 use crate::sampling::power_heuristic;
@@ -24,10 +24,9 @@ impl Path<'_> {
         let scene = self.scene;
         let (o, d) = (self.o, self.d);
         scene.light_shapes(o, d, t_max, |light, hit| {
+            let weight = self.light_weight(light, |p, n| scene.lights.pdf_hit(light, p, n, d, &seen_from(p, o, d, hit)));
             let radiance = scene.lights.radiance_hit(light, d, hit);
-            let weight = self.light_weight(light, |p, n| scene.lights.pdf_hit(light, p, n, d, hit));
-            let weight = weight * self.attenuation(hit.t);
-            self.see_light(weight * radiance);
+            self.see_light(weight * self.attenuation(hit.t) * radiance);
         });
     }
 
@@ -50,13 +49,13 @@ impl Path<'_> {
         if !si.front {
             return;
         }
-        let triangle = first + si.triangle;
-        let radiance = scene.lights.mesh_radiance(light, triangle, self.d);
-        let (d, at) = (self.d, si.p);
+        let (o, d) = (self.o, self.d);
+        let hit = ShapeHit::on_mesh((si.p - o).dot(d), first + si.triangle);
+        let radiance = scene.lights.radiance_hit(light, d, &hit);
         let weight = match self.previous {
             // The mesh is there for the camera to see, lit up.
             Previous::Camera => Rgb::ONE,
-            _ => self.light_weight(light, |p, n| scene.lights.pdf_mesh(light, triangle, p, n, d, at)),
+            _ => self.light_weight(light, |p, n| scene.lights.pdf_hit(light, p, n, d, &seen_from(p, o, d, &hit))),
         };
         self.add(weight * radiance);
     }
@@ -114,6 +113,12 @@ impl Path<'_> {
         let medium = inside.and_then(|inside| inside.medium.map(|_| inside));
         transmittance(self.scene, o, light.wi, light.distance * SHORT, origin, medium)
     }
+}
+
+/// A hit as the light's pdf wants it: its distance from `p`, where the direction was sampled. A segment that
+/// passed transparent boundaries begins later on the same line.
+fn seen_from(p: Vec3, o: Vec3, d: Vec3, hit: &ShapeHit) -> ShapeHit {
+    ShapeHit { t: hit.t + (o - p).dot(d), ..*hit }
 }
 
 /// Light sampled at a collision in an index-matched medium, weighted against the phase function.

@@ -52,7 +52,7 @@ impl Enclosure for InstanceEnclosure<'_> {
     fn cast(&self, p: Vec3, d: Vec3, t_max: f32, from: Option<BoundaryHit>) -> Option<(f32, BoundaryHit)> {
         let ray = self.instance.local_ray(p, d, t_max);
         let skip = from.map_or(u32::MAX, |hit| hit.triangle);
-        let hit = self.instance.geometry.blas.closest(&ray, skip)?;
+        let hit = self.instance.geometry.blas.closest_skip(&ray, skip)?;
         Some((hit.t, BoundaryHit { triangle: hit.triangle, u: hit.u, v: hit.v }))
     }
 

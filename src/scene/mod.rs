@@ -73,6 +73,11 @@ pub struct SurfaceHit {
 /// A triangle of an instance, to be left out by a ray that starts on it.
 pub type Origin = Option<(u32, u32)>;
 
+/// The triangle of `instance` that a ray from `origin` leaves out.
+fn skipped(origin: Origin, instance: u32) -> u32 {
+    origin.filter(|(at, _)| *at == instance).map_or(u32::MAX, |(_, triangle)| triangle)
+}
+
 impl Instance {
     /// A ray whose origin is relative to the instance's own, in centred object space; `t` is unchanged.
     pub(crate) fn local_ray(&self, o: Vec3, d: Vec3, t_max: f32) -> Ray {
@@ -91,14 +96,25 @@ impl Scene {
         self.tlas.traverse(&mut ray, |i, ray| {
             let instance = &self.instances[i as usize];
             let local = instance.local_ray(o - instance.to_render.translation, d, ray.t_max);
-            let skip = origin.filter(|(at, _)| *at == i).map_or(u32::MAX, |(_, triangle)| triangle);
-            if let Some(hit) = instance.geometry.blas.closest(&local, skip) {
+            if let Some(hit) = instance.geometry.blas.closest_skip(&local, skipped(origin, i)) {
                 ray.t_max = hit.t;
                 closest = Some(SurfaceHit { t: hit.t, instance: i, triangle: hit.triangle, u: hit.u, v: hit.v });
             }
             false
         });
         closest
+    }
+
+    /// Whether any surface is met for 0 < t < `t_max`.
+    pub fn occluded(&self, o: Vec3, d: Vec3, t_max: f32, origin: Origin) -> bool {
+        let mut occluded = false;
+        self.tlas.traverse(&mut Ray { o, d, t_max }, |i, ray| {
+            let instance = &self.instances[i as usize];
+            let local = instance.local_ray(o - instance.to_render.translation, d, ray.t_max);
+            occluded = instance.geometry.blas.any_skip(&local, skipped(origin, i));
+            occluded
+        });
+        occluded
     }
 
     /// Calls `visit` for every light shape crossed for 0 < t < `t_max`. Lights cast no shadows.
