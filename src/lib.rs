@@ -4,3 +4,4 @@ pub mod error;
 pub mod flat;
 pub mod math;
 pub mod sampling;
+pub mod scene;

@@ -1,0 +1,3 @@
+//! The compiled scene.
+
+pub mod accel;
