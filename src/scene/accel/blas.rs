@@ -1,0 +1,153 @@
+//! The triangles of one mesh, in its own space.
+
+use super::Ray;
+use super::aabb::Aabb;
+use super::build::binary_tree;
+use super::collapse::collapse;
+use super::lanes::Lanes;
+use super::traverse::{Tree, Visitor};
+use super::triangle::{Crossing, Leaf, Shear, WIDTH};
+use glam::Vec3;
+
+/// A ray's meeting with a triangle: the point is (1 - u - v) a + u b + v c.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TriHit {
+    /// In units of the ray's d.
+    pub t: f32,
+    /// Index into the triangles the [`Blas`] was built from.
+    pub triangle: u32,
+    pub u: f32,
+    pub v: f32,
+}
+
+/// Bottom-level acceleration structure.
+#[derive(Debug, Clone)]
+pub struct Blas {
+    pub(super) tree: Tree,
+    pub(super) leaves: Vec<Leaf>,
+}
+
+/// No triangle has this index.
+const NONE: u32 = u32::MAX;
+
+impl Blas {
+    /// Triangles index `points`, both sides are hit. Those without area, with non-finite vertices or with indices out of
+    /// range are never hit. At most 2^31 triangles.
+    pub fn build(points: &[Vec3], triangles: &[[u32; 3]]) -> Self {
+        let corner = |i: u32| points.get(i as usize).copied().unwrap_or(Vec3::NAN);
+        let boxes: Vec<Aabb> = triangles.iter().map(|t| Aabb::of_triangle(t.map(corner))).collect();
+        let mut leaves = Vec::new();
+        let tree = collapse(&binary_tree(&boxes, WIDTH), &boxes, |ids| {
+            let mut leaf = Leaf::EMPTY;
+            ids.iter().enumerate().for_each(|(lane, &id)| leaf.set(lane, id, triangles[id as usize].map(corner)));
+            leaves.push(leaf);
+            leaves.len() as u32 - 1
+        });
+        Self { tree, leaves }
+    }
+
+    /// The hit with the smallest t in (0, t_max); at equal t the lowest triangle index.
+    pub fn closest(&self, ray: &Ray) -> Option<TriHit> {
+        self.closest_skip(ray, NONE)
+    }
+
+    /// As [`Blas::closest`], without triangle `skip`: a ray that starts on a triangle cannot meet its plane again.
+    pub fn closest_skip(&self, ray: &Ray, skip: u32) -> Option<TriHit> {
+        // Triangle 0 as "none yet" makes t_max exclusive: no index is below it at equal t.
+        let best = TriHit { t: ray.t_max, triangle: 0, u: 0.0, v: 0.0 };
+        let mut visitor = Closest { leaves: &self.leaves, shear: Shear::new(ray), skip, best, found: false };
+        self.tree.walk(ray, &mut visitor);
+        visitor.found.then_some(visitor.best)
+    }
+
+    /// Whether anything is hit in (0, t_max).
+    pub fn any(&self, ray: &Ray) -> bool {
+        self.any_skip(ray, NONE)
+    }
+
+    /// As [`Blas::any`], without triangle `skip`.
+    pub fn any_skip(&self, ray: &Ray, skip: u32) -> bool {
+        let mut visitor = Any { leaves: &self.leaves, shear: Shear::new(ray), skip, t_max: ray.t_max, found: false };
+        self.tree.walk(ray, &mut visitor);
+        visitor.found
+    }
+
+    /// Object-space bounds, empty without triangles; at most a few roundings larger than the points'.
+    pub fn bounds(&self) -> Aabb {
+        self.tree.bounds
+    }
+
+    /// Bytes.
+    pub fn memory(&self) -> usize {
+        self.tree.memory() + size_of_val(self.leaves.as_slice())
+    }
+}
+
+/// Calls `hit` with each crossing of the line with the leaf's triangles, until it returns true.
+#[inline(always)]
+fn crossings<L: Lanes>(leaf: &Leaf, shear: &Shear, mut hit: impl FnMut(u32, Crossing) -> bool) -> bool {
+    let (mut inside, e) = shear.edges::<L>(leaf);
+    if inside == 0 {
+        return false;
+    }
+    let e = e.map(L::store);
+    while inside != 0 {
+        let lane = inside.trailing_zeros() as usize & 7;
+        inside &= inside - 1;
+        let crossing = shear.crossing(leaf, lane, e.map(|e| e[lane]));
+        if crossing.is_some_and(|c| hit(leaf.id[lane], c)) {
+            return true;
+        }
+    }
+    false
+}
+
+struct Closest<'a> {
+    leaves: &'a [Leaf],
+    shear: Shear,
+    skip: u32,
+    best: TriHit,
+    found: bool,
+}
+
+impl Visitor for Closest<'_> {
+    #[inline(always)]
+    fn t_max(&self) -> f32 {
+        self.best.t
+    }
+
+    #[inline(always)]
+    fn leaf<L: Lanes>(&mut self, leaf: u32) -> bool {
+        crossings::<L>(&self.leaves[leaf as usize], &self.shear, |triangle, Crossing { t, u, v }| {
+            let nearer = t < self.best.t || (t == self.best.t && triangle < self.best.triangle);
+            if t > 0.0 && nearer && triangle != self.skip {
+                self.best = TriHit { t, triangle, u, v };
+                self.found = true;
+            }
+            false
+        })
+    }
+}
+
+struct Any<'a> {
+    leaves: &'a [Leaf],
+    shear: Shear,
+    skip: u32,
+    t_max: f32,
+    found: bool,
+}
+
+impl Visitor for Any<'_> {
+    #[inline(always)]
+    fn t_max(&self) -> f32 {
+        self.t_max
+    }
+
+    #[inline(always)]
+    fn leaf<L: Lanes>(&mut self, leaf: u32) -> bool {
+        self.found = crossings::<L>(&self.leaves[leaf as usize], &self.shear, |triangle, Crossing { t, .. }| {
+            t > 0.0 && t < self.t_max && triangle != self.skip
+        });
+        self.found
+    }
+}

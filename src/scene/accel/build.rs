@@ -1,0 +1,99 @@
+//! The binary tree, by obvhs: PLOC clustering (Meister, Bittner 2018), collapse of leaves by the surface area
+//! heuristic, then reinsertion (Meister, Bittner 2018, "Parallel Reinsertion").
+//!
+//! obvhs sees *guide* boxes only, made so that no input hangs it or makes it panic; `collapse` computes the boxes
+//! that rays are tested against.
+
+use super::aabb::Aabb;
+use glam::{DVec3, Vec3};
+use obvhs::bvh2::{Bvh2, leaf_collapser, reinsertion::ReinsertionOptimizer};
+use obvhs::ploc::{PlocBuilder, PlocSearchDistance, SortPrecision};
+
+/// Cost of a node step in triangle tests, for the collapse of leaves: eight triangles cost about as much as
+/// eight boxes, so nearly full leaves pay.
+const TRAVERSAL_COST: f32 = 6.0;
+
+/// Share of the nodes in the first of the passes of reinsertion; the next ones take 1/3, 1/5, ... of it.
+const REINSERTION: f32 = 0.1;
+
+/// Trees deeper than this are degenerate; reinsertion is not worth its growing stacks there.
+const DEEP: usize = 512;
+
+/// Topology over `boxes` with at most `leaf_size` of them in a leaf. The boxes of its nodes are not conservative.
+pub(super) fn binary_tree(boxes: &[Aabb], leaf_size: usize) -> Bvh2 {
+    let indices = (0..boxes.len() as u32).collect();
+    let guides = guide_boxes(boxes);
+    let (distance, precision) = (PlocSearchDistance::Medium, SortPrecision::U64);
+    let mut tree = PlocBuilder::with_capacity(boxes.len()).build(distance, &guides, indices, precision, 3);
+    leaf_collapser::collapse(&mut tree, leaf_size as u32, TRAVERSAL_COST);
+    reinsert(&mut tree);
+    tree
+}
+
+/// One pass at a time: obvhs' search panics when its stack of 2 `max_depth` is too small, and every pass may deepen
+/// the tree. A search of a tree of depth n holds at most n + 1 entries.
+fn reinsert(tree: &mut Bvh2) {
+    let mut optimizer = ReinsertionOptimizer::default();
+    for pass in (1..32).step_by(2) {
+        let depth = depth(tree);
+        if depth > DEEP {
+            return;
+        }
+        tree.max_depth = depth + 1;
+        optimizer.run(tree, REINSERTION, Some(vec![1.0 / pass as f32]));
+    }
+}
+
+/// Nodes on the longest way from the root to a leaf.
+fn depth(tree: &Bvh2) -> usize {
+    let mut deepest = 0;
+    let mut open = Vec::from_iter((!tree.nodes.is_empty()).then_some((0, 1)));
+    while let Some((node, depth)) = open.pop() {
+        deepest = deepest.max(depth);
+        let node = &tree.nodes[node as usize];
+        if !node.is_leaf() {
+            open.extend([(node.first_index, depth + 1), (node.first_index + 1, depth + 1)]);
+        }
+    }
+    deepest
+}
+
+/// The boxes scaled into [-1, 1]^3 and grown by a little noise.
+///
+/// Scaled and clamped, because the areas of huge or infinite boxes overflow and obvhs unwraps comparisons of them.
+/// Noise, because PLOC merges pairs that prefer each other, and among equal boxes or equally spaced ones (a
+/// million copies, a row of posts) ties make everyone prefer the right neighbour: one merge per pass, n passes.
+fn guide_boxes(boxes: &[Aabb]) -> Vec<obvhs::aabb::Aabb> {
+    let (centre, scale) = frame(boxes);
+    let map = |p: Vec3| ((p.as_dvec3() - centre) * scale).clamp(DVec3::NEG_ONE, DVec3::ONE).as_vec3();
+    let guide = |(i, b): (usize, &Aabb)| {
+        let (min, max) = if b.is_empty() { (Vec3::ZERO, Vec3::ZERO) } else { (map(b.min), map(b.max)) };
+        // Small against the box; for points at least a few roundings of numbers near 1.
+        let size = (max - min).max_element() * 2.0_f32.powi(-12) + 4.0 * f32::EPSILON;
+        let [low, high] = noise(i as u64);
+        obvhs::aabb::Aabb::new((min - low * size).into(), (max + high * size).into())
+    };
+    boxes.iter().enumerate().map(guide).collect()
+}
+
+/// Centre and inverse half size of the finite part of all boxes.
+fn frame(boxes: &[Aabb]) -> (DVec3, f64) {
+    let finite = boxes.iter().flat_map(|b| [b.min, b.max]).filter(|p| p.is_finite());
+    let all = Aabb::from_points(finite);
+    if all.is_empty() {
+        return (DVec3::ZERO, 1.0);
+    }
+    let (min, max) = (all.min.as_dvec3(), all.max.as_dvec3());
+    let half = (max - min).max_element() * 0.5;
+    ((min + max) * 0.5, if half > 0.0 { 1.0 / half } else { 1.0 })
+}
+
+/// Six numbers in [0, 1), ten bits each, from SplitMix64's finalizer (Steele et al. 2014).
+fn noise(i: u64) -> [Vec3; 2] {
+    let mut z = (i + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^= z >> 31;
+    let u = |k: u32| ((z >> (10 * k)) & 1023) as f32 / 1024.0;
+    [Vec3::new(u(0), u(1), u(2)), Vec3::new(u(3), u(4), u(5))]
+}

@@ -1,0 +1,107 @@
+//! From a binary tree to one of eight-wide nodes with conservative boxes.
+
+use super::aabb::Aabb;
+use super::lanes::Isa;
+use super::node::{LEAF, Node};
+use super::traverse::Tree;
+use obvhs::bvh2::Bvh2;
+
+/// Gives each node the up to eight largest subtrees below it (Wald et al. 2008: open the child of largest area
+/// until eight are found). `leaf` stores a leaf's primitives and returns its index. No recursion: degenerate
+/// trees are deep.
+pub(super) fn collapse(binary: &Bvh2, boxes: &[Aabb], mut leaf: impl FnMut(&[u32]) -> u32) -> Tree {
+    let bounds = node_bounds(binary, boxes);
+    let mut nodes = vec![Node::EMPTY];
+    // Subtrees whose node is still to be made, with the node and slot to hang it on.
+    let mut open = Vec::new();
+    fill(binary, &bounds, 0, &mut nodes, &mut open, &mut leaf);
+    while let Some((subtree, parent, slot)) = open.pop() {
+        let index = nodes.len();
+        nodes.push(Node::EMPTY);
+        nodes[parent].child[slot] = index as u32;
+        fill(binary, &bounds, subtree, &mut nodes, &mut open, &mut leaf);
+    }
+    let stack = stack_need(&nodes);
+    Tree { stack, bounds: bounds.first().copied().unwrap_or(Aabb::EMPTY), nodes, isa: Isa::detect() }
+}
+
+/// Fills the last of `nodes` with the children that `subtree` gives it.
+fn fill(
+    binary: &Bvh2,
+    bounds: &[Aabb],
+    subtree: usize,
+    nodes: &mut [Node],
+    open: &mut Vec<(usize, usize, usize)>,
+    leaf: &mut impl FnMut(&[u32]) -> u32,
+) {
+    let index = nodes.len() - 1;
+    for (slot, child) in children(binary, bounds, subtree).into_iter().enumerate() {
+        let node = &binary.nodes[child];
+        let reference = if node.is_leaf() {
+            let first = node.first_index as usize;
+            LEAF | leaf(&binary.primitive_indices[first..first + node.prim_count as usize])
+        } else {
+            open.push((child, index, slot));
+            0 // Set when the child is made.
+        };
+        nodes[index].set(slot, &bounds[child], reference);
+    }
+}
+
+/// Up to eight disjoint subtrees that cover `subtree`.
+fn children(binary: &Bvh2, bounds: &[Aabb], subtree: usize) -> Vec<usize> {
+    let mut found = Vec::with_capacity(8);
+    if subtree < binary.nodes.len() {
+        found.push(subtree);
+    }
+    while found.len() < 8 {
+        let inner = (0..found.len()).filter(|&i| !binary.nodes[found[i]].is_leaf());
+        let area = |i: usize| bounds[found[i]].half_area();
+        let Some(largest) = inner.max_by(|&a, &b| area(a).total_cmp(&area(b))) else { break };
+        let first = binary.nodes[found[largest]].first_index as usize;
+        found[largest] = first;
+        found.push(first + 1);
+    }
+    found
+}
+
+/// Boxes of all binary nodes from those of the primitives.
+fn node_bounds(binary: &Bvh2, boxes: &[Aabb]) -> Vec<Aabb> {
+    let mut bounds = vec![Aabb::EMPTY; binary.nodes.len()];
+    for i in parents_first(binary).into_iter().rev() {
+        let node = &binary.nodes[i];
+        let first = node.first_index as usize;
+        bounds[i] = if node.is_leaf() {
+            let primitives = &binary.primitive_indices[first..first + node.prim_count as usize];
+            primitives.iter().fold(Aabb::EMPTY, |b, &p| b.union(&boxes[p as usize]))
+        } else {
+            bounds[first].union(&bounds[first + 1])
+        };
+    }
+    bounds
+}
+
+fn parents_first(binary: &Bvh2) -> Vec<usize> {
+    let mut order = Vec::with_capacity(binary.nodes.len());
+    let mut open = Vec::from_iter((!binary.nodes.is_empty()).then_some(0));
+    while let Some(i) = open.pop() {
+        order.push(i);
+        let node = &binary.nodes[i];
+        if !node.is_leaf() {
+            open.extend([node.first_index as usize, node.first_index as usize + 1]);
+        }
+    }
+    order
+}
+
+/// The most stack entries any walk can hold. A node with k children pushes k, and while it is below the child it
+/// pops, the other k - 1 wait: need = max(k, k - 1 + the children's largest need). Children follow parents in `nodes`.
+fn stack_need(nodes: &[Node]) -> usize {
+    let mut need = vec![0; nodes.len()];
+    for i in (0..nodes.len()).rev() {
+        let below = nodes[i].child.iter().filter(|&&c| c & LEAF == 0).map(|&c| need[c as usize]).max();
+        let count = nodes[i].count();
+        need[i] = count.max(below.map_or(0, |below: usize| count - 1 + below));
+    }
+    need.first().map_or(1, |&need| need.max(1))
+}

@@ -1,0 +1,87 @@
+//! A node of eight child boxes, and the slab test of a ray against all of them.
+
+use super::Ray;
+use super::aabb::Aabb;
+use super::lanes::Lanes;
+
+/// Marks a [`Node::child`] as a leaf; the other bits are its index.
+pub(super) const LEAF: u32 = 1 << 31;
+
+/// A slot without a child.
+const UNUSED: u32 = u32::MAX;
+
+/// Far distances grow by this factor. Near and far distances carry 3 roundings each (Ize 2013, "Robust BVH Ray
+/// Traversal", section 3), the triangle test may move its hit by up to 12 of the distance (see `aabb::PAD`);
+/// together below 32 unit roundoffs. Wider than Ize's 2 ulps because his exact intersections do not move.
+pub(super) const WIDEN: f32 = 1.0 + 16.0 * f32::EPSILON;
+
+#[derive(Debug, Clone, Copy)]
+#[repr(C, align(32))]
+pub(super) struct Node {
+    /// x, y, z of the minima, then of the maxima, one lane per child. Unused lanes hold the empty box.
+    planes: [[f32; 8]; 6],
+    pub child: [u32; 8],
+}
+
+impl Node {
+    pub const EMPTY: Self = Self {
+        planes: [
+            [f32::INFINITY; 8],
+            [f32::INFINITY; 8],
+            [f32::INFINITY; 8],
+            [f32::NEG_INFINITY; 8],
+            [f32::NEG_INFINITY; 8],
+            [f32::NEG_INFINITY; 8],
+        ],
+        child: [UNUSED; 8],
+    };
+
+    /// Slots in use: the children fill them from the first on.
+    pub fn count(&self) -> usize {
+        self.child.iter().position(|&c| c == UNUSED).unwrap_or(8)
+    }
+
+    pub fn set(&mut self, slot: usize, bounds: &Aabb, child: u32) {
+        for axis in 0..3 {
+            self.planes[axis][slot] = bounds.min[axis];
+            self.planes[axis + 3][slot] = bounds.max[axis];
+        }
+        self.child[slot] = child;
+    }
+}
+
+/// What the slab test needs of a ray, spread over the lanes.
+pub(super) struct BoxRay<L> {
+    o: [L; 3],
+    inv_d: [L; 3],
+    /// Indices into [`Node::planes`] of the planes the ray meets first.
+    near: [usize; 3],
+}
+
+impl<L: Lanes> BoxRay<L> {
+    #[inline(always)]
+    pub fn new(ray: &Ray) -> Self {
+        // The sign bit, not d < 0: -0.0 gives an inverse of -inf and needs the order that goes with it.
+        let near = |axis: usize| axis + 3 * usize::from(ray.d[axis].is_sign_negative());
+        Self {
+            o: [L::splat(ray.o.x), L::splat(ray.o.y), L::splat(ray.o.z)],
+            inv_d: [L::splat(1.0 / ray.d.x), L::splat(1.0 / ray.d.y), L::splat(1.0 / ray.d.z)],
+            near: [near(0), near(1), near(2)],
+        }
+    }
+
+    /// Bit mask of the children the ray may meet in (0, t_max], and the distances at which it enters them.
+    ///
+    /// 0 * inf (an origin on a slab's plane, a direction along it) is NaN; as first operand of `min` and `max`
+    /// it drops out, which leaves the box to the other axes: never culled by it.
+    #[inline(always)]
+    pub fn test(&self, node: &Node, t_max: f32) -> (u32, [f32; 8]) {
+        let (mut near, mut far) = (L::splat(0.0), L::splat(t_max));
+        for axis in 0..3 {
+            let slab = |plane: usize| L::load(&node.planes[plane]).sub(self.o[axis]).mul(self.inv_d[axis]);
+            near = slab(self.near[axis]).max(near);
+            far = slab(2 * axis + 3 - self.near[axis]).min(far);
+        }
+        (near.le(far.mul(L::splat(WIDEN))), near.store())
+    }
+}

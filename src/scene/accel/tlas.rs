@@ -1,0 +1,56 @@
+//! The boxes of placed objects.
+
+use super::Ray;
+use super::aabb::Aabb;
+use super::build::binary_tree;
+use super::collapse::collapse;
+use super::lanes::Lanes;
+use super::traverse::{Tree, Visitor};
+
+/// Top-level acceleration structure.
+#[derive(Debug, Clone)]
+pub struct Tlas {
+    pub(super) tree: Tree,
+}
+
+impl Tlas {
+    /// Boxes may overlap, coincide, be infinite or empty (the last are never visited). At most 2^31.
+    pub fn build(boxes: &[Aabb]) -> Self {
+        Self { tree: collapse(&binary_tree(boxes, 1), boxes, |ids| ids[0]) }
+    }
+
+    /// Visits the boxes that the ray meets in (0, t_max), about nearest first; `visit` gets the index of a box,
+    /// shrinks `ray.t_max` when it finds a hit inside and returns true to stop. It must leave `o` and `d` alone.
+    /// The order depends on the boxes and the ray only.
+    pub fn traverse(&self, ray: &mut Ray, visit: impl FnMut(u32, &mut Ray) -> bool) {
+        let start = *ray;
+        self.tree.walk(&start, &mut Objects { ray, visit });
+    }
+
+    /// Empty without boxes.
+    pub fn bounds(&self) -> Aabb {
+        self.tree.bounds
+    }
+
+    /// Bytes.
+    pub fn memory(&self) -> usize {
+        self.tree.memory()
+    }
+}
+
+struct Objects<'a, F> {
+    ray: &'a mut Ray,
+    visit: F,
+}
+
+impl<F: FnMut(u32, &mut Ray) -> bool> Visitor for Objects<'_, F> {
+    #[inline(always)]
+    fn t_max(&self) -> f32 {
+        self.ray.t_max
+    }
+
+    #[inline(always)]
+    fn leaf<L: Lanes>(&mut self, object: u32) -> bool {
+        (self.visit)(object, self.ray)
+    }
+}
