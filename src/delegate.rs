@@ -51,7 +51,8 @@ pub struct RenderDelegate {
     flat: FlatScene,
     geometry: GeometryCache,
     scene: Option<Arc<Scene>>,
-    dirty: bool,
+    /// What is compiled is what is described.
+    clean: bool,
     /// By prim, from the validation at its sync: a prim that is synced anew replaces its own.
     prim_warnings: BTreeMap<String, Vec<Warning>>,
     commit_warnings: Vec<Warning>,
@@ -61,13 +62,16 @@ pub struct RenderDelegate {
 
 impl RenderDelegate {
     pub fn new() -> Self {
-        Self { dirty: true, ..Self::default() }
+        Self::default()
     }
 
     /// A delegate that holds an already flattened scene, which it validates.
     pub fn from_flat(mut flat: FlatScene) -> Self {
         let warnings = flat.validate();
-        Self { flat, dirty: true, prim_warnings: [(String::new(), warnings)].into(), ..Self::default() }
+        let mut delegate = Self::default();
+        delegate.flat = flat;
+        delegate.prim_warnings.insert(String::new(), warnings);
+        delegate
     }
 
     pub fn flat(&self) -> &FlatScene {
@@ -183,7 +187,7 @@ impl RenderDelegate {
 
     /// Compiles what is dirty. A no-op where nothing is.
     pub fn commit(&mut self) -> Result<CompileStats> {
-        if !self.dirty && self.scene.is_some() {
+        if self.clean {
             return Ok(CompileStats { blas_built: 0, seconds: 0.0, ..self.compiled });
         }
         self.stop();
@@ -192,7 +196,7 @@ impl RenderDelegate {
         let (scene, stats) = compile(&self.flat, &mut self.geometry, &mut self.commit_warnings)?;
         self.scene = Some(Arc::new(scene));
         self.compiled = stats;
-        self.dirty = false;
+        self.clean = true;
         Ok(stats)
     }
 
@@ -220,7 +224,7 @@ impl RenderDelegate {
 
     /// Starts the render pass in the background; needs a commit.
     pub fn start(&mut self) -> Result<()> {
-        let scene = self.scene.clone().filter(|_| !self.dirty);
+        let scene = self.scene.clone().filter(|_| self.clean);
         let scene = scene.ok_or_else(|| Error::Other("commit the scene before starting a render".into()))?;
         self.stop();
         let settings = self.flat.settings.clone();
@@ -340,7 +344,7 @@ impl RenderDelegate {
     /// An edit makes the image stale: the render stops, the scene waits for a commit.
     fn edit(&mut self) {
         self.stop();
-        self.dirty = true;
+        self.clean = false;
     }
 }
 

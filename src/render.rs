@@ -69,7 +69,9 @@ pub fn render(scene: &Scene, settings: &RenderSettings, film: &Film, progress: &
     let mut pass = 1;
     while done < settings.samples && !progress.stopped() {
         let count = pass.min(settings.samples - done);
-        let out_of_time = || done > 0 && limit.is_some_and(|limit| start.elapsed() >= limit);
+        // The first pass is always whole: every pixel gets a sample.
+        let may_end = done > 0;
+        let out_of_time = || may_end && limit.is_some_and(|limit| start.elapsed() >= limit);
         let begin = settings.sample_offset + done;
         let tiles_done = AtomicU64::new(0);
         film.tiles.par_iter().for_each(|tile| {
@@ -90,7 +92,7 @@ pub fn render(scene: &Scene, settings: &RenderSettings, film: &Film, progress: &
         let quiet = settings.noise_threshold > 0.0
             && done >= MIN_NOISE_SAMPLES
             && film.relative_error() < f64::from(settings.noise_threshold);
-        if quiet || out_of_time() {
+        if quiet || limit.is_some_and(|limit| start.elapsed() >= limit) {
             break;
         }
     }

@@ -70,7 +70,7 @@ fn run_slab(medium: &Medium, thickness: f32, diffuse: bool, walks: u32, seed: u3
         let mut sampler = Sampler::new(seed, i >> 12, i & 4095);
         let u = sampler.next_2d();
         let d = if diffuse { cosine_hemisphere(u) } else { Vec3::Z };
-        let start = Start { p: Vec3::ZERO, d, normal: -Vec3::Z, hit: true };
+        let start = Start { p: Vec3::ZERO, d, normal: -Vec3::Z, hit: true, weight: Rgb::ONE };
         let end = walk(&slab, medium, start, &mut sampler, &mut stats, |_, _| ());
         let (r, t) = match end {
             WalkEnd::Boundary { hit: true, weight, .. } => (weight, Rgb::ZERO),

@@ -68,6 +68,8 @@ impl Path<'_> {
                 let visible = self.settings.lights_visible_to_camera || self.scene.lights.camera_visible(light);
                 Rgb::splat(if visible { 1.0 } else { 0.0 })
             }
+            // Next-event estimation looks to the outside only: what was refracted the other way is ours alone.
+            Previous::Sampled { n: Some(n), .. } if self.d.dot(n) <= 0.0 => Rgb::ONE,
             Previous::Sampled { p, n, pdf } => Rgb::splat(power_heuristic(pdf, light_pdf(p, n))),
         }
     }
@@ -92,16 +94,14 @@ impl Path<'_> {
         if bsdf.is_delta_only() {
             return;
         }
-        let Some(light) = self.scene.lights.sample(si.p, self.receiver(si), u_choice, u) else { return };
+        let Some(light) = self.scene.lights.sample(si.p, Some(si.ng), u_choice, u) else { return };
         let wi = si.local(light.wi);
         let f = bsdf.eval(wi);
-        // Shading and geometric normal must agree on the side, or light leaks through the surface.
-        let agree = (light.wi.dot(si.ng) > 0.0) == (wi.z > 0.0);
-        if f == Rgb::ZERO || !agree {
+        // Towards the outside only, and shading and geometric normal must agree which side that is.
+        if f == Rgb::ZERO || light.wi.dot(si.ng) <= 0.0 || wi.z <= 0.0 {
             return;
         }
-        let leaves = matches!(si.side, Side::Inside) && wi.z > 0.0;
-        let inside = if leaves { None } else { self.inside };
+        let inside = if matches!(si.side, Side::Inside) { None } else { self.inside };
         let origin = Some((si.instance, si.triangle));
         let visible = self.shadow(si.origin(light.wi), &light, origin, inside);
         let weight = if light.delta { 1.0 } else { power_heuristic(light.pdf, bsdf.pdf(wi)) };
@@ -127,7 +127,8 @@ pub(super) struct CollisionLight<'a> {
     pub scene: &'a Scene,
     pub inside: Inside,
     pub g: f32,
-    pub throughput: Rgb,
+    /// Path throughput per unit of the walk's weight.
+    pub scale: f32,
     pub bucket: Bucket,
 }
 
@@ -139,7 +140,7 @@ impl CollisionLight<'_> {
         let visible = transmittance(self.scene, p, light.wi, light.distance * SHORT, None, Some(self.inside));
         let weight = if light.delta { 1.0 } else { power_heuristic(light.pdf, phase) };
         let light = phase * visible * light.radiance * (weight / light.pdf);
-        add_to(sample, self.bucket, self.throughput * collision.weight * light);
+        add_to(sample, self.bucket, self.scale * collision.weight * light);
     }
 }
 
@@ -164,7 +165,7 @@ fn transmittance(scene: &Scene, o: Vec3, d: Vec3, t_max: f32, origin: Origin, in
             Some(interior) => {
                 inside = (!within).then_some(Inside { instance: hit.instance, medium: Some(interior.medium) });
             }
-            None => passed *= coating.surface.transparency(),
+            None => passed *= coating.surface.transparency(si.frame.n.dot(d).abs()),
         }
         if passed.max_element() <= 0.0 {
             return Rgb::ZERO;

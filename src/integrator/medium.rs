@@ -4,6 +4,7 @@ use super::direct::CollisionLight;
 use super::{Bucket, Inside, Path, Previous};
 use crate::bsdf::{Boundary, Bsdf, Event, Side};
 use crate::interaction::Interaction;
+use crate::math::Rgb;
 use crate::sampling::sampler::Sampler;
 use crate::scene::{BoundaryHit, InstanceEnclosure, Interior, SurfaceHit};
 use crate::subsurface::walk::{Start, WalkEnd, walk};
@@ -26,7 +27,7 @@ impl Path<'_> {
         }
         let enclosure = InstanceEnclosure::new(scene, si.instance);
         let entry = BoundaryHit { triangle: hit.triangle, u: hit.u, v: hit.v };
-        let mut start = Start { p: enclosure.point(&entry), d: wi, normal: si.ng, hit: entry };
+        let mut start = Start { p: enclosure.point(&entry), d: wi, normal: si.ng, hit: entry, weight: Rgb::ONE };
         loop {
             let (at, d) = self.sub_walk(&enclosure, &interior, start, si.instance, sampler)?;
             let exit = scene.interaction(&enclosure.surface_hit(&at), d, Side::Inside);
@@ -39,7 +40,7 @@ impl Path<'_> {
                 Boundary::Dielectric => match self.meet_dielectric(si.surface, &exit, sampler)? {
                     Some(reflected) => {
                         self.cross()?;
-                        start = Start { p: enclosure.point(&at), d: reflected, normal: exit.ng, hit: at };
+                        start = Start { p: enclosure.point(&at), d: reflected, normal: exit.ng, hit: at, weight: Rgb::ONE };
                     }
                     None => return Some(()),
                 },
@@ -52,17 +53,20 @@ impl Path<'_> {
         &mut self,
         enclosure: &InstanceEnclosure,
         interior: &Interior,
-        start: Start<BoundaryHit>,
+        mut start: Start<BoundaryHit>,
         instance: u32,
         sampler: &mut Sampler,
     ) -> Option<(BoundaryHit, Vec3)> {
         let medium = &interior.medium;
+        let scale = self.throughput.max_element();
+        (scale > 0.0).then_some(())?;
+        start.weight = self.throughput / scale;
         // Light reaches collisions straight only where the boundary does not bend it.
         let light = (interior.boundary == Boundary::IndexMatched).then_some(CollisionLight {
             scene: self.scene,
             inside: Inside { instance, medium: Some(*medium) },
             g: medium.g,
-            throughput: self.throughput,
+            scale,
             bucket: self.bucket,
         });
         let sample = &mut self.sample;
@@ -75,7 +79,7 @@ impl Path<'_> {
             }
         });
         let WalkEnd::Boundary { hit, d, weight, scattered, .. } = end else { return None };
-        self.throughput *= weight;
+        self.throughput = scale * weight;
         if let (Some((p, pdf)), Boundary::IndexMatched) = (scattered, interior.boundary) {
             self.previous = Previous::Sampled { p: enclosure.to_render(p), n: None, pdf };
         }
@@ -100,7 +104,7 @@ impl Path<'_> {
     /// A dielectric boundary seen from inside: `Some(Some(wi))` reflected back in along wi, `Some(None)` out.
     fn meet_dielectric(&mut self, surface: u32, exit: &Interaction, sampler: &mut Sampler) -> Option<Option<Vec3>> {
         let surface = &self.scene.surfaces[surface as usize].surface;
-        let bsdf = surface.bsdf(exit.local(exit.wo), Side::Inside, exit.display_color);
+        let bsdf = surface.bsdf(exit.local(exit.wo), Side::Inside);
         let (u_choice, u_light) = (sampler.next(), sampler.next_2d());
         self.next_event(exit, &bsdf, u_choice, u_light);
         let chosen = bsdf.sample(sampler.next(), sampler.next_2d())?;

@@ -59,7 +59,7 @@ enum Previous {
     Camera,
     /// By a delta lobe, or with nothing else that could have sampled it.
     Delta,
-    /// At `p` with normal `n` (as given to light choice), solid-angle pdf `pdf`.
+    /// At `p` with solid-angle pdf `pdf`. Light was sampled there too, on the side of `n` if there is one.
     Sampled { p: Vec3, n: Option<Vec3>, pdf: f32 },
 }
 
@@ -161,7 +161,7 @@ impl Path<'_> {
     /// Next-event estimation and a new direction at a surface.
     fn scatter(&mut self, hit: &SurfaceHit, si: &Interaction, sampler: &mut Sampler) -> Option<()> {
         let surface = &self.scene.surfaces[si.surface as usize].surface;
-        let bsdf = surface.bsdf(si.local(si.wo), si.side, si.display_color);
+        let bsdf = surface.bsdf(si.local(si.wo), si.side);
         let (u_lobe, u_choice) = (sampler.next(), sampler.next());
         let (u_light, u) = (sampler.next_2d(), sampler.next_2d());
 
@@ -225,7 +225,7 @@ impl Path<'_> {
 
     /// Sets up the next segment along `wi`, sampled at `si`.
     fn bounce(&mut self, si: &Interaction, wi: Vec3, delta: bool, pdf: f32) -> Option<()> {
-        self.previous = if delta { Previous::Delta } else { Previous::Sampled { p: si.p, n: self.receiver(si), pdf } };
+        self.previous = if delta { Previous::Delta } else { Previous::Sampled { p: si.p, n: Some(si.ng), pdf } };
         if matches!(si.side, Side::Inside) && self.inside.is_some() {
             self.cross()?;
         } else {
@@ -269,7 +269,7 @@ impl Path<'_> {
         }
         let scene = self.scene;
         self.sample.alpha = 1.0;
-        self.sample.albedo = scene.surfaces[si.surface as usize].surface.albedo(si.display_color);
+        self.sample.albedo = scene.surfaces[si.surface as usize].surface.albedo();
         self.sample.first = FirstHit {
             depth: scene.camera.depth(si.p),
             normal: si.frame.n,
@@ -280,12 +280,6 @@ impl Path<'_> {
 
     fn add(&mut self, light: Rgb) {
         add_to(&mut self.sample, self.bucket, self.throughput * light);
-    }
-
-    /// The normal that light choice may rely on: a surface that transmits is lit from both sides.
-    fn receiver(&self, si: &Interaction) -> Option<Vec3> {
-        let coating = &self.scene.surfaces[si.surface as usize];
-        (!coating.surface.transmits() || matches!(si.side, Side::Inside)).then_some(si.ng)
     }
 }
 

@@ -230,7 +230,7 @@ impl Builder<'_> {
             self.warnings.push(Warning::new(name, format!("unknown AOV left out; known are: {}", crate::film::AOVS.join(", "))));
         }
         for coating in &self.surfaces {
-            needs.transparency |= coating.surface.transparency().max_element() > 0.0;
+            needs.transparency |= !coating.surface.is_opaque();
             let Some(interior) = coating.interior else { continue };
             let medium = interior.medium;
             if !medium.scatters() {

@@ -32,14 +32,14 @@ pub struct Collision {
     pub p: Vec3,
     /// Direction in which light (path) travels into the collision.
     pub d: Vec3,
-    /// Weight of the walk so far, this collision's albedo included.
+    /// Start weight and that of the walk so far, this collision's albedo included.
     pub weight: Rgb,
 }
 
 /// How a walk ended.
 #[derive(Debug, Clone, Copy)]
 pub enum WalkEnd<H> {
-    /// At boundary point `hit`, `p`, travelling along `d`. `scattered` is the last collision and the
+    /// At boundary point `hit`, `p`, travelling along `d`; `weight` includes that of the start. `scattered` is the last collision and the
     /// solid-angle pdf with which it chose `d`; `None` if the walk never scattered.
     Boundary { hit: H, p: Vec3, d: Vec3, weight: Rgb, scattered: Option<(Vec3, f32)> },
     /// Nothing left to carry.
@@ -92,6 +92,9 @@ pub struct Start<H> {
     pub d: Vec3,
     pub normal: Vec3,
     pub hit: H,
+    /// What the path carries into the walk, largest channel 1: channels are chosen by it from the start. A
+    /// walk that starts again at every internal reflection would otherwise multiply weights without bound.
+    pub weight: Rgb,
 }
 
 /// Walks from boundary to boundary. `collide` is called at every collision, before its direction is drawn.
@@ -106,7 +109,7 @@ pub fn walk<E: Enclosure>(
     stats.walks += 1;
     let error = enclosure.position_error();
     let reach = TANGENT * error;
-    let (mut p, mut d, mut weight) = (start.p, start.d, Rgb::ONE);
+    let (mut p, mut d, mut weight) = (start.p, start.d, start.weight);
     let mut scattered = None;
     let mut moved = Vec3::ZERO; // since the entry, summed from segments
 
