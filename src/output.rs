@@ -88,7 +88,8 @@ const SOFTWARE: &str = concat!("dermis ", env!("CARGO_PKG_VERSION"));
 const LONGEST_NAME: usize = 255;
 
 /// Writes the layers as one ZIP-compressed, scene-linear Rec.709 part; `attributes` are metadata under
-/// their own names, which must not be names that OpenEXR defines: give them a prefix, `dermis/seed`. The file appears under its name only when it is whole.
+/// their own names, which must not be names that OpenEXR defines: give them a prefix, `dermis/seed`.
+/// The file appears under its name only when it is whole.
 ///
 /// # Errors
 /// Each names the file: an empty window, a channel whose length is not that of the data window, a name

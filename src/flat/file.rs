@@ -13,8 +13,11 @@
 //! | 40 | zeros |
 //! | 56 | checksum of the bytes before, u64 |
 //! | 64 | the text: [`FlatScene`] as JSON, where `{"array": n}` stands for entry n of the table |
-//! | next multiple of 8 | the table: per array a code of its scalar (u32), components (u32), offset in the file, elements, checksum of these (u64 each) |
+//! | next multiple of 8 | the table, 32 bytes per array |
 //! | multiples of 64 | the arrays |
+//!
+//! An entry of the table is the scalar (u32: 0 float, 1 double, 2 int) and how many make an element (u32), the
+//! offset in the file, the number of elements and the checksum of these (u64 each).
 //!
 //! A damaged header, text or table is found by its checksum. Arrays carry none, since that would read them
 //! all; [`FlatScene::validate`] finds what matters of them.

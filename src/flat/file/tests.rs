@@ -68,7 +68,7 @@ fn transforms_come_back() {
 #[test]
 fn floats_come_back_bit_for_bit() {
     let mut scene = small();
-    let light = crate::flat::Light { color: [0.1, 1.0 / 3.0, 1e-38], intensity: 16_777_217.0e13, ..Default::default() };
+    let light = crate::flat::Light { color: [0.1, 1.0 / 3.0, 1e-38], intensity: 1.2345679e20, ..Default::default() };
     scene.lights.insert("/light".into(), light);
     assert_eq!(read(&mapped(&bytes_of(&scene))).unwrap(), scene);
 }

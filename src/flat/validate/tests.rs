@@ -274,7 +274,8 @@ fn materials_name_their_own_inputs() {
             "inputs:subsurfaceRadius is [1.0, -2.0, NaN], [1.0, 0.0, 1.0] is used; author a finite number, not below 0",
             "inputs:subsurfaceAnisotropy is 1.0, 0.999 is used; author -0.999 to 0.999",
             "inputs:ior is 0.0, 1.5 is used; author a number above 0",
-            "inputs:subsurfaceBoundary is \"glass\", \"diffuse\" is used; author one of diffuse, dielectric, indexMatched",
+            "inputs:subsurfaceBoundary is \"glass\", \"diffuse\" is used; \
+             author one of diffuse, dielectric, indexMatched",
         ]
     );
     assert_eq!(
