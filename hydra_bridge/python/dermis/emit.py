@@ -1,0 +1,142 @@
+"""From what the walk found to the flat prims: arrays read, materials bound, instances placed."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from pxr import Gf, Usd, UsdShade
+
+from .camera import flatten_camera
+from .instancer import Matrices, nested
+from .light import flatten_light
+from .material import flatten_material
+from .mesh import MESH_TYPES, flatten_mesh, flatten_subsets
+from .reading import Reader
+from .walk import Found, Frame, canonical_path
+
+Prim = dict[str, Any]
+
+
+class Emitter:
+    """Collects the prims of one flattening."""
+
+    def __init__(self, reader: Reader, binding_purpose: str, domes_visible: bool) -> None:
+        self.reader = reader
+        self.binding_purpose = binding_purpose
+        self.domes_visible = domes_visible
+        self.prims: dict[str, Prim] = {}
+        self.textures: dict[str, Prim] = {}
+        # Instancers that place a mesh at all.
+        self.instancers: set[str] = set()
+        # Where the path of the material bound to a prim goes; all bindings are resolved in one batch.
+        self.bindables: list[tuple[Usd.Prim, Prim]] = []
+
+    def emit(self, placements: dict[Frame, Matrices]) -> dict[str, Prim]:
+        """Flat prims by key, from the frames and their world placements."""
+        for frame, matrices in placements.items():
+            if len(matrices):
+                self.frame(frame, matrices)
+        self.bind()
+        return {**self.prims, **self.textures}
+
+    def frame(self, frame: Frame, matrices: Matrices) -> None:
+        is_world = frame.root == 0
+        instancer = "" if is_world else f"{frame.base}.instances"
+        for found in frame.found:
+            self.guarded(found, lambda found=found: self.prim(found, matrices, instancer))
+        if instancer in self.instancers:
+            self.prims[instancer] = {"type": "Instancer", "visible": True, "transforms": matrices}
+
+    def guarded(self, found: Found, emit: Callable[[], None]) -> None:
+        try:
+            emit()
+        except Exception as error:  # noqa: BLE001 - one bad prim must not cost the picture.
+            self.reader.warn(found.prim, f"cannot be read ({error}); it is not rendered")
+
+    def prim(self, found: Found, matrices: Matrices, instancer: str) -> None:
+        if found.kind == "Camera":
+            # A camera inside instances counts once, where the first of them stands.
+            matrix = Gf.Matrix4d(*np.ravel(local_to_world(found, matrices)[0]))
+            self.prims[found.key] = flatten_camera(found.prim, self.reader, matrix)
+        elif found.kind not in MESH_TYPES:
+            light = flatten_light(found.prim, found.kind, self.reader, self.textures, self.domes_visible)
+            self.lights(found, light, matrices, [""] * len(matrices))
+        elif found.emits:
+            self.mesh_lights(found, matrices)
+        elif (mesh := self.mesh(found)) is not None:
+            mesh["transform"] = self.reader.matrix(found.prim, found.matrix)
+            mesh["instancer"] = instancer
+            self.prims[found.key] = mesh
+            self.instancers.update({instancer} - {""})
+
+    def mesh(self, found: Found) -> Prim | None:
+        """The mesh without its place; its bindings are noted for `bind`."""
+        fields = flatten_mesh(found.prim, found.kind, self.reader, found.context.inherited())
+        if fields is None:
+            return None
+        mesh = {"type": "Mesh", "visible": found.context.visible, "material": "", "instancer": "", **fields}
+        self.bindables.append((found.prim, mesh))
+        subsets = flatten_subsets(found.prim, self.reader) if found.kind == "Mesh" else []
+        self.bindables.extend(subsets)
+        mesh["geomSubsets"] = [subset for _, subset in subsets]
+        return mesh
+
+    def mesh_lights(self, found: Found, matrices: Matrices) -> None:
+        """A mesh light is a mesh and a light; inside instances each placement gets its own pair."""
+        mesh = self.mesh(found)
+        if mesh is None:
+            return
+        light = flatten_light(found.prim, "Mesh", self.reader, self.textures, self.domes_visible)
+        keys = (
+            [key + ".mesh" for key in placed_keys(found.key, len(matrices))]
+            if len(matrices) > 1
+            else [found.key]
+        )
+        copies = [mesh] + [dict(mesh) for _ in keys[1:]]
+        self.bindables.extend((found.prim, copy) for copy in copies[1:])
+        for key, copy, matrix in zip(keys, copies, local_to_world(found, matrices), strict=True):
+            copy["transform"] = self.reader.matrix(found.prim, matrix.tolist())
+            self.prims[key] = copy
+        self.lights(found, light, matrices, keys)
+
+    def lights(self, found: Found, light: Prim, matrices: Matrices, meshes: list[str]) -> None:
+        keys = placed_keys(found.key + (".light" if found.emits else ""), len(matrices))
+        for key, mesh, matrix in zip(keys, meshes, local_to_world(found, matrices), strict=True):
+            shape = {**light["shape"], "mesh": mesh} if mesh else light["shape"]
+            transform = self.reader.matrix(found.prim, matrix.tolist())
+            self.prims[key] = {
+                **light,
+                "transform": transform,
+                "visible": found.context.visible,
+                "shape": shape,
+            }
+
+    def bind(self) -> None:
+        """Material bindings of all meshes and subsets, and the materials they name."""
+        prims = [prim for prim, _ in self.bindables]
+        materials, sources = UsdShade.MaterialBindingAPI.ComputeBoundMaterials(prims, self.binding_purpose)
+        for (prim, fields), material, source in zip(self.bindables, materials, sources, strict=True):
+            if material:
+                fields["material"] = self.material(material.GetPrim())
+            elif source and (targets := source.GetTargets()):
+                self.reader.warn(
+                    prim, f"{source.GetName()}: {targets[-1]} is no material; displayColor is used"
+                )
+
+    def material(self, prim: Usd.Prim) -> str:
+        key = canonical_path(prim)
+        if key not in self.prims:
+            try:
+                self.prims[key] = flatten_material(prim, self.reader)
+            except Exception as error:  # noqa: BLE001 - as above
+                self.reader.warn(prim, f"cannot be read ({error}); displayColor is used")
+                self.prims[key] = {"type": "Material", "shader": "UsdPreviewSurface"}
+        return key
+
+
+def local_to_world(found: Found, matrices: Matrices) -> Matrices:
+    return nested(np.array(found.matrix)[None], matrices)
+
+
+def placed_keys(key: str, count: int) -> list[str]:
+    return [key] if count == 1 else [f"{key}[{i}]" for i in range(count)]

@@ -1,0 +1,161 @@
+"""PointInstancer arrays as matrices, and nested placements multiplied out."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Usd
+
+from .reading import Reader
+
+Matrices = NDArray[np.float64]
+"""(n, 4, 4), row vectors."""
+
+
+def point_instances(prim: Usd.Prim, reader: Reader) -> tuple[NDArray, Matrices]:
+    """(prototype index, instance to instancer without the prototype's own transform) of every instance that
+    shows.
+
+    Damaged arrays lose what cannot be used, with a warning each.
+    """
+    indices = reader.array(prim, "protoIndices", np.int32, 1)
+    positions = reader.array(prim, "positions", np.float32, 3)
+    if indices is None or positions is None or not len(indices) or not len(positions):
+        return np.zeros(0, np.int32), np.zeros((0, 4, 4))
+    count = min(len(indices), len(positions))
+    if len(indices) != len(positions):
+        reader.warn(
+            prim, f"positions: {len(positions)} for {len(indices)} protoIndices; the first {count} are used"
+        )
+    matrices = instance_matrices(prim, positions[:count], reader)
+    keep = shown(prim, count, reader) & in_range(prim, indices[:count], reader)
+    return indices[:count][keep], matrices[keep]
+
+
+def instance_matrices(prim: Usd.Prim, positions: NDArray, reader: Reader) -> Matrices:
+    """scale, then rotate, then translate (UsdGeomPointInstancer)."""
+    scales = optional_array(prim, ("scales",), 3, len(positions), reader)
+    orientations = optional_array(prim, ("orientationsf", "orientations"), 4, len(positions), reader)
+    matrices = np.tile(np.eye(4), (len(positions), 1, 1))
+    if orientations is not None:
+        matrices[:, :3, :3] = rotations(orientations.astype(np.float64))
+    if scales is not None:
+        matrices[:, :3, :3] *= scales[:, :, None]
+    matrices[:, 3, :3] = positions + drift(prim, len(positions), reader)
+    return matrices
+
+
+def optional_array(
+    prim: Usd.Prim, names: tuple[str, ...], components: int, count: int, reader: Reader
+) -> NDArray | None:
+    """The first authored of `names` if it has one value per instance."""
+    for name in names:
+        values = reader.array(prim, name, np.float32, components)
+        if values is None or not len(values):
+            continue
+        if len(values) >= count:
+            return values[:count]
+        reader.warn(prim, f"{name}: {len(values)} values for {count} instances; it is ignored")
+    return None
+
+
+def rotations(quaternions: NDArray) -> NDArray:
+    """(n, 4) as (i, j, k, real) -> (n, 3, 3) for row vectors; not normalised, as GfMatrix4d.SetRotate."""
+    x, y, z, w = quaternions.T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)],
+        [2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w)],
+        [2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), 2, 0)
+
+
+def drift(prim: Usd.Prim, count: int, reader: Reader) -> NDArray | float:
+    """Way since the last sample of `positions` where velocities are authored: they beat interpolation."""
+    if not prim.GetAttribute("velocities").HasAuthoredValue() or reader.time.IsDefault():
+        return 0.0
+    attribute = prim.GetAttribute("positions")
+    bracket = attribute.GetBracketingTimeSamples(reader.time.GetValue())
+    if not bracket or reader.time.GetValue() <= bracket[0]:
+        return 0.0
+    sample = Reader(Usd.TimeCode(bracket[0]), reader.report)
+    velocities = optional_array(prim, ("velocities",), 3, count, sample)
+    start = sample.array(prim, "positions", np.float32, 3)
+    now = reader.array(prim, "positions", np.float32, 3)
+    if velocities is None or start is None or len(start) < count or len(now) < count:
+        return 0.0
+    seconds = (reader.time.GetValue() - bracket[0]) / prim.GetStage().GetTimeCodesPerSecond()
+    return start[:count] + velocities * seconds - now[:count]
+
+
+def shown(prim: Usd.Prim, count: int, reader: Reader) -> NDArray:
+    """Instances that are neither in `invisibleIds` nor deactivated."""
+    ids = reader.array(prim, "ids", np.int64, 1)
+    if ids is None or len(ids) < count:
+        ids = np.arange(count)
+    hidden = reader.array(prim, "invisibleIds", np.int64, 1)
+    inactive = prim.GetMetadata("inactiveIds")
+    gone = list(hidden) if hidden is not None else []
+    gone += list(inactive.ApplyOperations([])) if inactive else []
+    return ~np.isin(ids[:count], np.array(gone, np.int64))
+
+
+def in_range(prim: Usd.Prim, indices: NDArray, reader: Reader) -> NDArray:
+    prototypes = len(prim.GetRelationship("prototypes").GetForwardedTargets())
+    good = (indices >= 0) & (indices < prototypes)
+    if not good.all():
+        bad = int(indices[~good][0])
+        reader.warn(
+            prim,
+            f"protoIndices: {int((~good).sum())} values like {bad} name none of the {prototypes} prototypes; "
+            "these instances are not rendered",
+        )
+    return good
+
+
+def nested(inner: Matrices, outer: Matrices) -> Matrices:
+    """Every inner placement in every outer one: (m, 4, 4), (n, 4, 4) -> (n * m, 4, 4)."""
+    if len(outer) == 1 and np.array_equal(outer[0], np.eye(4)):
+        return inner
+    return np.matmul(inner[None], outer[:, None]).reshape(-1, 4, 4)
+
+
+def place(edges: dict[Any, list[tuple[Any, Matrices]]], root: Any, warn: Any) -> dict[Any, Matrices]:
+    """World placements of every frame. `edges[frame]` lists (child frame, child root to frame).
+
+    A frame inside itself has no end: that edge is dropped, with `warn(child)`.
+    """
+    order = topological(edges, root, warn)
+    parts: dict[Any, list[Matrices]] = {root: [np.eye(4)[None]]}
+    placements: dict[Any, Matrices] = {}
+    for frame in order:
+        placements[frame] = joined(parts.get(frame, []))
+        for child, matrices in edges.get(frame, []):
+            parts.setdefault(child, []).append(nested(matrices, placements[frame]))
+    return placements
+
+
+def joined(parts: list[Matrices]) -> Matrices:
+    if len(parts) == 1:
+        return np.ascontiguousarray(parts[0])
+    return np.concatenate(parts) if parts else np.zeros((0, 4, 4))
+
+
+def topological(edges: dict[Any, list[tuple[Any, Matrices]]], root: Any, warn: Any) -> list[Any]:
+    """Parents before children; cuts `edges` that close a cycle."""
+    order: list[Any] = []
+    state: dict[Any, str] = {}
+
+    def visit(frame: Any) -> None:
+        state[frame] = "open"
+        for child, _ in list(edges.get(frame, [])):
+            if state.get(child) == "open":
+                edges[frame] = [edge for edge in edges[frame] if edge[0] is not child]
+                warn(child)
+            elif child not in state:
+                visit(child)
+        state[frame] = "done"
+        order.append(frame)
+
+    visit(root)
+    return order[::-1]

@@ -1,0 +1,167 @@
+"""UsdLux lights with the specification's names; what dermis does not do is said once per light."""
+
+from typing import Any
+
+from pxr import Usd, UsdGeom, UsdLux
+
+from .reading import Reader
+from .texture import flatten_texture
+
+LIGHT_TYPES = (
+    "RectLight",
+    "DiskLight",
+    "SphereLight",
+    "CylinderLight",
+    "DistantLight",
+    "DomeLight",
+    "DomeLight_1",
+)
+UNSUPPORTED_LIGHTS = ("PortalLight", "GeometryLight", "PluginLight", "PluginLightFilter", "LightFilter")
+
+Fields = dict[str, Any]
+
+
+def flatten_light(
+    prim: Usd.Prim, kind: str, reader: Reader, textures: dict[str, Fields], domes_visible: bool
+) -> Fields:
+    """Fields of `flat::Light` except transform and visible. `kind` is a light type, or `Mesh` for a mesh
+    light.
+
+    Decoded images are added to `textures`.
+    """
+    is_dome = kind.startswith("DomeLight")
+    light = {
+        "type": "Light",
+        "cameraVisible": reader.value(prim, "inputs:visibility:camera", domes_visible and is_dome),
+        **emission(prim, kind, reader),
+        "shaping": shaping(prim, reader),
+        "shape": shape(prim, kind, reader, textures),
+    }
+    warn_ignored(prim, reader)
+    return light
+
+
+def emission(prim: Usd.Prim, kind: str, reader: Reader) -> Fields:
+    temperature = reader.value(prim, "inputs:colorTemperature", 6500.0)
+    return {
+        "intensity": reader.value(prim, "inputs:intensity", 50000.0 if kind == "DistantLight" else 1.0),
+        "exposure": reader.value(prim, "inputs:exposure", 0.0),
+        "color": list(reader.value(prim, "inputs:color", (1.0, 1.0, 1.0))),
+        "normalize": reader.value(prim, "inputs:normalize", False),
+        "enableColorTemperature": reader.value(prim, "inputs:enableColorTemperature", False),
+        "colorTemperature": temperature,
+        "blackbody": [float(x) for x in UsdLux.BlackbodyTemperatureAsRgb(temperature)],
+    }
+
+
+def shaping(prim: Usd.Prim, reader: Reader) -> Fields | None:
+    """UsdLuxShapingAPI where it is applied, or authored without being applied."""
+    authored = any(
+        a.HasAuthoredValue() for a in prim.GetAttributes() if a.GetName().startswith("inputs:shaping:")
+    )
+    if not prim.HasAPI(UsdLux.ShapingAPI) and not authored:
+        return None
+    ies = reader.raw(prim, "inputs:shaping:ies:file")
+    if ies is not None and ies.path:
+        reader.warn(
+            prim, f"inputs:shaping:ies:file: {ies.path}: IES profiles are not supported yet; it is ignored"
+        )
+    return {
+        "focus": reader.value(prim, "inputs:shaping:focus", 0.0),
+        "focusTint": list(reader.value(prim, "inputs:shaping:focusTint", (0.0, 0.0, 0.0))),
+        "coneAngle": reader.value(prim, "inputs:shaping:cone:angle", 90.0),
+        "coneSoftness": reader.value(prim, "inputs:shaping:cone:softness", 0.0),
+    }
+
+
+def shape(prim: Usd.Prim, kind: str, reader: Reader, textures: dict[str, Fields]) -> Fields:
+    """`flat::LightShape`; for `Mesh` the walk fills in the key of the mesh."""
+
+    def number(name: str, default: float) -> float:
+        return reader.value(prim, f"inputs:{name}", default)
+
+    match kind:
+        case "RectLight":
+            texture = flatten_texture(prim, "inputs:texture:file", reader, textures)
+            return {
+                "kind": "Rect",
+                "width": number("width", 1.0),
+                "height": number("height", 1.0),
+                "texture": texture,
+            }
+        case "DiskLight":
+            return {"kind": "Disk", "radius": number("radius", 0.5)}
+        case "SphereLight":
+            return {"kind": "Sphere", "radius": number("radius", 0.5)}
+        case "CylinderLight":
+            return {"kind": "Cylinder", "length": number("length", 1.0), "radius": number("radius", 0.5)}
+        case "DistantLight":
+            return {"kind": "Distant", "angle": number("angle", 0.53)}
+        case "DomeLight" | "DomeLight_1":
+            return {
+                "kind": "Dome",
+                "texture": dome_texture(prim, reader, textures),
+                "poleAxis": pole(prim, kind, reader),
+            }
+    return {"kind": "Mesh", "mesh": ""}
+
+
+def dome_texture(prim: Usd.Prim, reader: Reader, textures: dict[str, Fields]) -> str:
+    layout = reader.value(prim, "inputs:texture:format", "automatic")
+    if layout not in ("automatic", "latlong"):
+        reader.warn(
+            prim, f"inputs:texture:format: '{layout}' is not supported; the dome emits its plain colour"
+        )
+        return ""
+    return flatten_texture(prim, "inputs:texture:file", reader, textures)
+
+
+def pole(prim: Usd.Prim, kind: str, reader: Reader) -> str:
+    """`Y` for DomeLight always; DomeLight_1 names it, `scene` being the stage's up axis."""
+    if kind == "DomeLight":
+        return "Y"
+    axis = reader.value(prim, "poleAxis", "scene")
+    if axis not in ("scene", "Y", "Z"):
+        reader.warn(prim, f"poleAxis: '{axis}' is not supported; 'scene' is used")
+    return axis if axis in ("Y", "Z") else str(UsdGeom.GetStageUpAxis(prim.GetStage()))
+
+
+def warn_ignored(prim: Usd.Prim, reader: Reader) -> None:
+    """One warning with everything of this light that is not rendered."""
+    ignored = [name for name in ("inputs:diffuse", "inputs:specular") if reader.value(prim, name, 1.0) != 1.0]
+    ignored += [
+        a.GetName() for a in prim.GetAttributes() if is_shadow(a) and a.Get(reader.time) != fallback(a)
+    ]
+    ignored += [rel for rel in ("light:filters", "portals") if targets(prim, rel)]
+    ignored += [link for link in ("lightLink", "shadowLink") if excludes_something(prim, link, reader)]
+    sync = prim.GetAttribute("light:materialSyncMode")
+    if sync and sync.HasAuthoredValue() and reader.raw(prim, "light:materialSyncMode") != fallback(sync):
+        ignored.append("light:materialSyncMode")
+    if ignored:
+        reader.warn(prim, f"{', '.join(ignored)}: not supported yet; ignored")
+
+
+def is_shadow(attribute: Usd.Attribute) -> bool:
+    return attribute.GetName().startswith("inputs:shadow:") and attribute.HasAuthoredValue()
+
+
+def fallback(attribute: Usd.Attribute) -> Any:
+    """The schema's value of an attribute; None where no applied schema defines it."""
+    definition = attribute.GetPrim().GetPrimDefinition()
+    return definition.GetAttributeFallbackValue(attribute.GetName())
+
+
+def targets(prim: Usd.Prim, name: str) -> bool:
+    relationship = prim.GetRelationship(name)
+    return bool(relationship and relationship.GetTargets())
+
+
+def excludes_something(prim: Usd.Prim, link: str, reader: Reader) -> bool:
+    """Whether a linking collection says anything but `the whole stage`."""
+    name = f"collection:{link}"
+    expression = reader.raw(prim, f"{name}:membershipExpression")
+    return (
+        targets(prim, f"{name}:excludes")
+        or not reader.value(prim, f"{name}:includeRoot", True)
+        or (expression is not None and not expression.IsEmpty())
+    )

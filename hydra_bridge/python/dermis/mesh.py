@@ -1,0 +1,172 @@
+"""Meshes with their primvars: UsdGeomMesh as it stands, implicit prims tessellated."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from pxr import Usd, UsdGeom
+
+from .implicit import IMPLICIT_TYPES, tessellate
+from .reading import Reader
+
+PRIMVARS = {"st": ("st", 2), "displayColor": ("displayColor", 3), "displayOpacity": ("displayOpacity", 1)}
+"""Primvar -> field of Mesh, components."""
+
+MESH_TYPES = ("Mesh", *IMPLICIT_TYPES)
+
+Inherited = Mapping[str, UsdGeom.Primvar]
+"""Constant primvars of the ancestors by name."""
+
+
+def flatten_mesh(prim: Usd.Prim, kind: str, reader: Reader, inherited: Inherited) -> dict[str, Any] | None:
+    """Fields of `flat::Mesh` except transform, visibility and material; None where there is nothing to
+    render."""
+    if kind == "Mesh":
+        mesh = polygons(prim, reader)
+    elif (surface := tessellate(prim, kind, reader)) is not None:
+        mesh = {"orientation": "rightHanded", "subdivisionScheme": "none", **surface}
+    else:
+        mesh = None
+    if mesh is None:
+        return None
+    mesh["doubleSided"] = reader.value(prim, "doubleSided", kind == "Plane")
+    add_primvars(prim, kind, mesh, reader, inherited)
+    return mesh
+
+
+def polygons(prim: Usd.Prim, reader: Reader) -> dict[str, Any] | None:
+    points = reader.array(prim, "points", np.float32, 3)
+    counts = reader.array(prim, "faceVertexCounts", np.int32, 1)
+    indices = reader.array(prim, "faceVertexIndices", np.int32, 1)
+    for name, array in (("points", points), ("faceVertexCounts", counts), ("faceVertexIndices", indices)):
+        if array is None or not len(array):
+            reader.warn(prim, f"{name}: empty; the mesh is not rendered")
+            return None
+    mesh = {
+        "points": points,
+        "faceVertexCounts": counts,
+        "faceVertexIndices": indices,
+        "orientation": choice(prim, "orientation", ("rightHanded", "leftHanded"), reader),
+        "subdivisionScheme": choice(
+            prim, "subdivisionScheme", ("catmullClark", "loop", "bilinear", "none"), reader
+        ),
+    }
+    holes = reader.array(prim, "holeIndices", np.int32, 1)
+    if holes is not None and len(holes):
+        mesh["holeIndices"] = holes
+    if mesh["subdivisionScheme"] == "none":
+        add_normals(prim, mesh, reader)
+    else:
+        warn_sharpness(prim, reader)
+    return mesh
+
+
+def choice(prim: Usd.Prim, name: str, tokens: tuple[str, ...], reader: Reader) -> str:
+    """A token attribute; the first of `tokens` where it is none of them."""
+    value = reader.value(prim, name, tokens[0])
+    if value in tokens:
+        return value
+    reader.warn(prim, f"{name}: '{value}' is not supported; '{tokens[0]}' is used")
+    return tokens[0]
+
+
+def warn_sharpness(prim: Usd.Prim, reader: Reader) -> None:
+    authored = [
+        name for name in ("creaseIndices", "cornerIndices") if prim.GetAttribute(name).HasAuthoredValue()
+    ]
+    if authored:
+        reader.warn(
+            prim, f"{', '.join(authored)}: creases and corners are not supported yet; they are ignored"
+        )
+
+
+def add_normals(prim: Usd.Prim, mesh: dict[str, Any], reader: Reader) -> None:
+    """`primvars:normals` beats `normals` (UsdGeomMesh)."""
+    primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals")
+    if primvar and primvar.HasAuthoredValue():
+        normals = flatten_primvar(prim, primvar, 3, mesh, reader)
+    else:
+        values = reader.array(prim, "normals", np.float32, 3)
+        interpolation = UsdGeom.PointBased(prim).GetNormalsInterpolation()
+        normals = checked(prim, "normals", interpolation, values, None, mesh, reader)
+    if normals is not None:
+        mesh["normals"] = normals
+
+
+def add_primvars(
+    prim: Usd.Prim, kind: str, mesh: dict[str, Any], reader: Reader, inherited: Inherited
+) -> None:
+    api = UsdGeom.PrimvarsAPI(prim)
+    for name, (field, components) in PRIMVARS.items():
+        primvar = api.GetPrimvar(name)
+        if not (primvar and primvar.HasAuthoredValue()):
+            primvar = inherited.get(name)
+        if primvar is None:
+            continue
+        if kind != "Mesh" and primvar.GetInterpolation() != UsdGeom.Tokens.constant:
+            reader.warn(prim, f"primvars:{name}: a {kind} takes only constant primvars; it is ignored")
+        elif (value := flatten_primvar(prim, primvar, components, mesh, reader)) is not None:
+            mesh[field] = value
+
+
+def flatten_primvar(
+    prim: Usd.Prim, primvar: UsdGeom.Primvar, components: int, mesh: dict[str, Any], reader: Reader
+) -> dict[str, Any] | None:
+    name = str(primvar.GetName())
+    value = primvar.Get(reader.time)
+    if primvar.GetElementSize() != 1:
+        reader.warn(prim, f"{name}: elementSize {primvar.GetElementSize()} is not supported; it is ignored")
+        return None
+    if components == 1 and np.ndim(value) == 0 and value is not None and not isinstance(value, str):
+        value = [value]
+    values = reader.as_array(prim, name, value, np.float32, components)
+    indices = reader.as_array(prim, f"{name}:indices", indices_of(primvar, reader), np.int32, 1)
+    return checked(prim, name, primvar.GetInterpolation(), values, indices, mesh, reader)
+
+
+def indices_of(primvar: UsdGeom.Primvar, reader: Reader) -> Any:
+    return primvar.GetIndicesAttr().Get(reader.time) if primvar.IsIndexed() else None
+
+
+def checked(
+    prim: Usd.Prim,
+    name: str,
+    interpolation: str,
+    values: Any,
+    indices: Any,
+    mesh: dict[str, Any],
+    reader: Reader,
+) -> dict[str, Any] | None:
+    """The primvar, or None and a warning where its length does not fit the mesh."""
+    if values is None or not len(values):
+        return None
+    expected = {
+        "constant": 1,
+        "uniform": len(mesh["faceVertexCounts"]),
+        "varying": len(mesh["points"]),
+        "vertex": len(mesh["points"]),
+        "faceVarying": len(mesh["faceVertexIndices"]),
+    }.get(interpolation)
+    count = len(values if indices is None else indices)
+    if expected is None:
+        problem = f"interpolation '{interpolation}' is unknown"
+    elif count != expected:
+        problem = f"{count} values where {interpolation} interpolation needs {expected}"
+    elif indices is not None and (indices.min() < 0 or indices.max() >= len(values)):
+        problem = f"indices leave the range 0 to {len(values) - 1}"
+    else:
+        primvar = {"interpolation": interpolation, "values": values}
+        return primvar if indices is None else {**primvar, "indices": indices}
+    reader.warn(prim, f"{name}: {problem}; it is ignored")
+    return None
+
+
+def flatten_subsets(prim: Usd.Prim, reader: Reader) -> list[tuple[Usd.Prim, dict[str, Any]]]:
+    """Geometry subsets of family materialBind, with the prim whose binding counts."""
+    subsets = []
+    for subset in UsdGeom.Subset.GetGeomSubsets(UsdGeom.Imageable(prim), UsdGeom.Tokens.face, "materialBind"):
+        indices = reader.array(subset.GetPrim(), "indices", np.int32, 1)
+        if indices is not None and len(indices):
+            fields = {"path": str(subset.GetPath()), "indices": indices, "material": ""}
+            subsets.append((subset.GetPrim(), fields))
+    return subsets

@@ -1,0 +1,130 @@
+"""Guarded reads: whatever a stage holds, a read gives a usable value or one warning that names prim and
+attribute."""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Usd
+
+
+class Report:
+    """Warnings of one flattening, in the order met; the same words about the same prim are kept once."""
+
+    def __init__(self) -> None:
+        self.warnings: list[tuple[str, str]] = []
+        self._seen: set[tuple[str, str]] = set()
+
+    def warn(self, prim: str | Usd.Prim, message: str) -> None:
+        entry = (str(prim.GetPath()) if isinstance(prim, Usd.Prim) else str(prim), message)
+        if entry not in self._seen:
+            self._seen.add(entry)
+            self.warnings.append(entry)
+
+
+class Reader:
+    """Reads attributes at one time; what cannot be used becomes the default and a warning."""
+
+    def __init__(self, time: Usd.TimeCode, report: Report) -> None:
+        self.time = time
+        self.report = report
+
+    def warn(self, prim: str | Usd.Prim, message: str) -> None:
+        self.report.warn(prim, message)
+
+    def value(self, prim: Usd.Prim, name: str, default: Any) -> Any:
+        """The attribute as the type of `default` (bool, int, float, str or tuple of float); finite always."""
+        return self.coerced(prim, name, self.raw(prim, name), default)
+
+    def raw(self, prim: Usd.Prim, name: str) -> Any:
+        """The attribute's value at the time, or None where there is none."""
+        attribute = prim.GetAttribute(name)
+        return attribute.Get(self.time) if attribute else None
+
+    def coerced(self, prim: Usd.Prim, name: str, value: Any, default: Any) -> Any:
+        if value is None:
+            return default
+        try:
+            return coerce(value, default)
+        except (TypeError, ValueError, OverflowError) as error:
+            self.warn(prim, f"{name}: {error}; {default!r} is used")
+            return default
+
+    def array(self, prim: Usd.Prim, name: str, dtype: Any, components: int) -> NDArray | None:
+        """The attribute as array of shape (n,) or (n, components), a view of USD's own memory where the type
+        allows."""
+        return self.as_array(prim, name, self.raw(prim, name), dtype, components)
+
+    def as_array(self, prim: Usd.Prim, name: str, value: Any, dtype: Any, components: int) -> NDArray | None:
+        if value is None:
+            return None
+        array = numeric(value)
+        shape = () if components == 1 else (components,)
+        if (
+            array is None
+            or array.ndim != 1 + len(shape)
+            or array.shape[1:] != shape
+            or not fits(array, dtype)
+        ):
+            kind = (
+                "integers" if dtype == np.int32 else "numbers" if components == 1 else f"{components}-vectors"
+            )
+            self.warn(
+                prim, f"{name}: an array of {kind} was expected, found {describe(value)}; it is ignored"
+            )
+            return None
+        return np.ascontiguousarray(array, dtype)
+
+    def matrix(self, prim: Usd.Prim, matrix: Any) -> list[list[float]]:
+        """A GfMatrix4d as nested lists; identity where it is not finite."""
+        rows = [list(row) for row in matrix]
+        if all(math.isfinite(x) for row in rows for x in row):
+            return rows
+        self.warn(prim, "xformOpOrder: the transform is not finite; the identity is used")
+        return [[float(i == j) for j in range(4)] for i in range(4)]
+
+
+def numeric(value: Any) -> NDArray | None:
+    """A Vt array as numpy view, or None where it holds no numbers."""
+    try:
+        array = np.asarray(value)
+    except (TypeError, ValueError):
+        return None
+    return array if array.dtype.kind in "fiub" else None
+
+
+def fits(array: NDArray, dtype: Any) -> bool:
+    """Whether the conversion keeps the kind: no fractions into integers."""
+    return np.dtype(dtype).kind == "f" or array.dtype.kind in "iub"
+
+
+def coerce(value: Any, default: Any) -> Any:
+    """`value` as the type of `default`; raises TypeError or ValueError in words where that makes no sense."""
+    if isinstance(default, str):
+        if not isinstance(value, str):
+            raise TypeError(f"a token was expected, found {describe(value)}")
+        return value
+    if isinstance(default, tuple):
+        return vector(value, len(default))
+    if isinstance(value, str) or not hasattr(value, "__float__") or np.ndim(value):
+        raise TypeError(f"a number was expected, found {describe(value)}")
+    return type(default)(finite(float(value)))
+
+
+def vector(value: Any, length: int) -> tuple[float, ...]:
+    if isinstance(value, str) or not hasattr(value, "__len__") or len(value) != length:
+        raise TypeError(f"{length} numbers were expected, found {describe(value)}")
+    return tuple(finite(float(x)) for x in value)
+
+
+def finite(value: float) -> float:
+    if not math.isfinite(value):
+        raise ValueError(f"{value} is not finite")
+    return value
+
+
+def describe(value: Any) -> str:
+    """A value for a message, short whatever its size."""
+    text = repr(value)
+    return f"{type(value).__name__} {text if len(text) <= 40 else text[:37] + '...'}"

@@ -1,0 +1,204 @@
+"""A composed stage at one time as flat prims: the dicts that `dermis._core` takes, with numpy arrays in
+them."""
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade
+
+from .camera import auto_camera, camera_fields, find_camera
+from .emit import Emitter
+from .material import flatten_material
+from .reading import Reader, Report
+from .settings import binding_purpose, find_settings, flatten_settings, included_purposes
+from .walk import Walk
+
+__all__ = [
+    "FlatStage",
+    "Options",
+    "StageError",
+    "auto_camera",
+    "camera_fields",
+    "encode",
+    "find_camera",
+    "flatten",
+    "flatten_prim",
+    "open_stage",
+]
+
+Prim = dict[str, Any]
+"""`type` (Mesh, Instancer, Material, Light, Camera, Texture) and the fields of `flat::Prim` in serde's
+names; arrays are C-contiguous numpy arrays: float32 (n,) or (n, k), int32 (n,), float64 (n, 4, 4)."""
+
+
+class StageError(Exception):
+    """A stage that cannot be opened; the text is usdrecord's."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What decides about a flattening besides the stage.
+
+    purposes: rendered besides `default`; None: `includedPurposes` of the render settings, else `render`.
+    enable_dome_light_visibility: camera rays see dome lights that do not say otherwise themselves.
+    render_settings: path of a RenderSettings prim; empty: the one named by the stage's metadata, if any.
+    camera: path of a camera to include although the walk may not reach it (inactive purpose, inside an
+    instance).
+    """
+
+    purposes: tuple[str, ...] | None = None
+    enable_dome_light_visibility: bool = False
+    render_settings: str = ""
+    camera: str = ""
+
+
+@dataclass
+class FlatStage:
+    """`prims` by path or key; `stage`: fields of `flat::StageInfo`; `settings`: authored
+    `flat::RenderSettings`; `warnings`: (prim, message) of everything dropped or replaced; `purposes`: those
+    rendered."""
+
+    prims: dict[str, Prim] = field(default_factory=dict)
+    stage: dict[str, Any] = field(default_factory=dict)
+    settings: dict[str, Any] = field(default_factory=dict)
+    warnings: list[tuple[str, str]] = field(default_factory=list)
+    purposes: tuple[str, ...] = ("default",)
+
+
+def open_stage(path: str | Path, session_layer: str | Path | None = None, mask: Any = None) -> Usd.Stage:
+    """Opens .usda, .usdc or .usdz with all payloads. `mask`: prim paths of a population mask, or None.
+
+    Raises StageError ("Could not open layer: ...") where a layer is missing or damaged.
+    """
+    root = open_layer(path)
+    session = open_layer(session_layer) if session_layer else Sdf.Layer.CreateAnonymous(".usda")
+    try:
+        if not mask:
+            return Usd.Stage.Open(root, session)
+        paths = [mask] if isinstance(mask, str) else mask
+        return Usd.Stage.OpenMasked(root, session, Usd.StagePopulationMask([Sdf.Path(str(p)) for p in paths]))
+    except Tf.ErrorException as error:
+        raise StageError(f"Could not open layer: {path} ({first_line(error)})") from error
+
+
+def open_layer(path: str | Path) -> Sdf.Layer:
+    try:
+        layer = Sdf.Layer.FindOrOpen(str(path))
+    except Tf.ErrorException as error:
+        raise StageError(f"Could not open layer: {path} ({first_line(error)})") from error
+    if layer is None:
+        raise StageError(f"Could not open layer: {path}")
+    return layer
+
+
+def first_line(error: Tf.ErrorException) -> str:
+    """USD's own words without the place in its sources."""
+    text = next((line for line in str(error).splitlines() if line.strip()), "")
+    return text.split(" : ", 1)[-1].strip().strip("'")
+
+
+def flatten(
+    stage: Usd.Stage, time: Usd.TimeCode | float | None = None, options: Options | None = None
+) -> FlatStage:
+    """The stage at `time` (None: its first). Damage costs the prim and gives a warning, never an
+    exception."""
+    options = options or Options()
+    time = first_time(stage) if time is None else Usd.TimeCode(time)
+    reader = Reader(time, Report())
+    warn_composition(stage, reader.report)
+    settings = find_settings(stage, options.render_settings, reader)
+    purposes = included_purposes(settings, reader) if options.purposes is None else options.purposes
+    flat = FlatStage(stage=stage_info(stage, time, reader), purposes=tuple(sorted({"default", *purposes})))
+    if settings:
+        flat.settings = flatten_settings(settings, reader)
+    purpose = binding_purpose(settings, reader)
+    walk = Walk(stage, reader, flat.purposes, purpose)
+    flat.prims = Emitter(reader, purpose, options.enable_dome_light_visibility).emit(walk.run())
+    add_camera(stage, options.camera or flat.settings.get("camera", ""), flat, reader)
+    flat.warnings = reader.report.warnings
+    return flat
+
+
+def flatten_prim(
+    prim: Usd.Prim, time: Usd.TimeCode | float | None = None, options: Options | None = None
+) -> FlatStage:
+    """One prim, what is below it, and the materials and textures these use; `stage` and `settings` stay
+    empty."""
+    options = options or Options()
+    reader = Reader(first_time(prim.GetStage()) if time is None else Usd.TimeCode(time), Report())
+    settings = find_settings(prim.GetStage(), options.render_settings, reader)
+    purposes = included_purposes(settings, reader) if options.purposes is None else options.purposes
+    purpose = binding_purpose(settings, reader)
+    flat = FlatStage(purposes=tuple(sorted({"default", *purposes})))
+    if prim.IsA(UsdShade.Material):
+        flat.prims[str(prim.GetPath())] = flatten_material(prim, reader)
+    else:
+        placements = Walk(prim.GetStage(), reader, flat.purposes, purpose).run(prim)
+        flat.prims = Emitter(reader, purpose, options.enable_dome_light_visibility).emit(placements)
+    flat.warnings = reader.report.warnings
+    return flat
+
+
+def first_time(stage: Usd.Stage) -> Usd.TimeCode:
+    """The start of the stage's range; without one the earliest sample, since at the default time animated
+    attributes may have no value."""
+    start = stage.GetStartTimeCode()
+    return Usd.TimeCode(start) if stage.HasAuthoredTimeCodeRange() else Usd.TimeCode.EarliestTime()
+
+
+def add_camera(stage: Usd.Stage, path: str, flat: FlatStage, reader: Reader) -> None:
+    """Makes sure that the render camera is among the prims, or drops it from the settings with a warning."""
+    if not path or path in flat.prims:
+        return
+    camera = find_camera(stage, path)
+    if camera:
+        flat.prims[path] = camera_fields(camera, reader.time, reader.report)
+        return
+    reader.warn(path, "camera: there is no such camera; it is ignored")
+    if flat.settings.get("camera") == path:
+        del flat.settings["camera"]
+
+
+def stage_info(stage: Usd.Stage, time: Usd.TimeCode, reader: Reader) -> dict[str, Any]:
+    layer = stage.GetRootLayer()
+    scale = UsdGeom.GetStageMetersPerUnit(stage)
+    if not (np.isfinite(scale) and scale > 0.0):
+        reader.warn("/", f"metersPerUnit: {scale} is not positive; 0.01 is used")
+        scale = 0.01
+    return {
+        "file": layer.realPath or layer.identifier,
+        "upAxis": str(UsdGeom.GetStageUpAxis(stage)),
+        "metersPerUnit": scale,
+        "timeCode": 0.0 if time.IsDefault() or time.IsEarliestTime() else time.GetValue(),
+    }
+
+
+def warn_composition(stage: Usd.Stage, report: Report) -> None:
+    """References, payloads and sublayers that did not resolve; the rest of the stage renders."""
+    for error in stage.GetCompositionErrors():
+        site = str(getattr(error, "rootSite", "")).rstrip(">")
+        path = site.rsplit("<", 1)[-1] if "<" in site else "/"
+        report.warn(path, f"composition: {error}")
+
+
+def encode(prim: Prim) -> tuple[str, list[np.ndarray]]:
+    """JSON of a prim in which {"array": i} stands for the i-th of the arrays returned beside it.
+
+    Raises ValueError where a number that is not finite would reach the JSON.
+    """
+    arrays: list[np.ndarray] = []
+
+    def default(value: Any) -> Any:
+        if isinstance(value, np.ndarray):
+            arrays.append(np.ascontiguousarray(value))
+            return {"array": len(arrays) - 1}
+        if isinstance(value, np.generic):
+            return value.item()
+        if isinstance(value, (Gf.Matrix4d, Gf.Vec2f, Gf.Vec3f, Gf.Vec4f)):
+            return [list(row) if isinstance(value, Gf.Matrix4d) else row for row in value]
+        raise TypeError(f"{type(value).__name__} cannot be part of a prim")
+
+    return json.dumps(prim, default=default, allow_nan=False), arrays

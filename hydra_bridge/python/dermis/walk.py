@@ -1,0 +1,298 @@
+"""The walk over the composed stage: what is rendered, where, and under which inherited state.
+
+A *frame* is a subtree that is placed as a whole: the world (once), the prototype of native instances, or a
+prototype of a point instancer. Every frame is walked once; instances only add placements. Instances of one
+prototype that inherit different things (bindings, constant primvars, purpose) are different frames.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from pxr import Gf, Usd, UsdGeom, UsdLux, UsdShade, Vt
+
+from .instancer import Matrices, place, point_instances
+from .light import LIGHT_TYPES, UNSUPPORTED_LIGHTS
+from .mesh import MESH_TYPES, PRIMVARS
+from .reading import Reader
+
+UNSUPPORTED_PRIMS = (
+    "BasisCurves",
+    "HermiteCurves",
+    "NurbsCurves",
+    "NurbsPatch",
+    "ParticleField3DGaussianSplat",
+    "Points",
+    "TetMesh",
+    "Volume",
+)
+
+IDENTITY = Gf.Matrix4d(1.0)
+INSTANCES = Usd.TraverseInstanceProxies()
+PROTOTYPES = Usd.TraverseInstanceProxies(Usd.PrimIsActive & Usd.PrimIsLoaded)
+"""Point instancers take prototypes that are `over` or `class` too."""
+
+
+@dataclass(frozen=True)
+class Context:
+    """What a prim has from its ancestors. `primvars`: name, primvar, bytes of its value; `bindings`: direct
+    material bindings in force as (relationship, material, stronger than descendants)."""
+
+    visible: bool = True
+    purpose: str = "default"
+    primvars: tuple[tuple[str, UsdGeom.Primvar, bytes], ...] = ()
+    bindings: tuple[tuple[str, str, bool], ...] = ()
+    collections: bool = False
+
+    def inherited(self) -> dict[str, UsdGeom.Primvar]:
+        return {name: primvar for name, primvar, _ in self.primvars}
+
+
+@dataclass(eq=False)
+class Frame:
+    """A subtree placed as a whole. `base` replaces the first `root` characters of prim paths to make keys."""
+
+    base: str
+    root: int
+    predicate: Any
+    in_point_instancer: bool = False
+    found: list["Found"] = field(default_factory=list)
+    native: dict["Frame", list[Gf.Matrix4d]] = field(default_factory=dict)
+    points: list[tuple["Frame", Matrices]] = field(default_factory=list)
+
+    def key(self, prim: Usd.Prim) -> str:
+        return self.base + str(prim.GetPath())[self.root :]
+
+    def edges(self) -> list[tuple["Frame", Matrices]]:
+        native = [(child, np.asarray(Vt.Matrix4dArray(matrices))) for child, matrices in self.native.items()]
+        return native + self.points
+
+
+@dataclass
+class Found:
+    """A prim to render, of schema type `kind`; `matrix` is local to its frame; `emits`: a mesh that is a
+    light too."""
+
+    prim: Usd.Prim
+    kind: str
+    key: str
+    matrix: Gf.Matrix4d
+    context: Context
+    emits: bool = False
+
+
+class Walk:
+    """Fills `world` and the frames below it."""
+
+    def __init__(
+        self, stage: Usd.Stage, reader: Reader, purposes: Iterable[str], binding_purpose: str
+    ) -> None:
+        self.stage = stage
+        self.reader = reader
+        self.purposes = {"default", *purposes}
+        self.binding_purpose = binding_purpose
+        self.xforms = UsdGeom.XformCache(reader.time)
+        self.world = Frame("", 0, INSTANCES)
+        self.frames: dict[Any, Frame] = {}
+        self.unsupported: dict[str, list[str]] = {}
+        # (prim, frame, context above, matrix of the parent, None at a prototype's root: no transform of its
+        # own)
+        self.open: list[tuple[Usd.Prim, Frame, Context, Gf.Matrix4d | None]] = []
+
+    def run(self, root: Usd.Prim | None = None) -> dict[Frame, Matrices]:
+        """World placements by frame, the world among them, in a fixed order. `root`: only this prim and
+        below."""
+        if root is None or root.IsPseudoRoot():
+            self.push(
+                self.stage.GetPseudoRoot().GetFilteredChildren(INSTANCES), self.world, Context(), IDENTITY
+            )
+        else:
+            parent = self.xforms.GetParentToWorldTransform(root)
+            self.push([root], self.world, ancestry(root, self.reader), parent)
+        while self.open:
+            prim, frame, context, parent = self.open.pop()
+            try:
+                self.visit(prim, frame, context, parent)
+            except Exception as error:  # noqa: BLE001 - one bad prim must not cost the picture.
+                self.reader.warn(prim, f"cannot be read ({error}); it is not rendered")
+        self.report_unsupported()
+        frames = [self.world, *self.frames.values()]
+        return place({f: f.edges() for f in frames}, self.world, self.warn_cycle)
+
+    def push(self, prims: Iterable[Usd.Prim], frame: Frame, context: Context, parent: Gf.Matrix4d) -> None:
+        self.open.extend((prim, frame, context, parent) for prim in reversed(list(prims)))
+
+    def visit(self, prim: Usd.Prim, frame: Frame, context: Context, parent: Gf.Matrix4d | None) -> None:
+        context = descend(prim, context, self.reader)
+        frame, matrix = self.matrix(prim, frame, parent)
+        kind = str(prim.GetPrimTypeInfo().GetSchemaTypeName())
+        if kind == "PointInstancer":
+            if context.purpose in self.purposes and context.visible:
+                self.point_instancer(prim, frame, context, matrix)
+            return
+        self.note(prim, kind, frame, context, matrix)
+        if prim.IsInstance():
+            self.native_instance(prim, frame, context, matrix)
+        else:
+            self.push(prim.GetFilteredChildren(frame.predicate), frame, context, matrix)
+
+    def matrix(self, prim: Usd.Prim, frame: Frame, parent: Gf.Matrix4d | None) -> tuple[Frame, Gf.Matrix4d]:
+        """Frame and prim-to-frame; a reset of the transform stack takes a prim out of its native instance."""
+        if parent is None:
+            return frame, IDENTITY
+        local, resets = self.xforms.GetLocalTransformation(prim)
+        if not resets:
+            return frame, local * parent
+        # Inside a point instancer a reset ends at the prototype's root, as in Hydra.
+        return frame if frame.in_point_instancer else self.world, local
+
+    def note(self, prim: Usd.Prim, kind: str, frame: Frame, context: Context, matrix: Gf.Matrix4d) -> None:
+        """Adds a prim to the frame if it is one that renders."""
+        if kind in MESH_TYPES:
+            if context.purpose in self.purposes:
+                emits = prim.HasAPI(UsdLux.LightAPI)
+                frame.found.append(Found(prim, kind, frame.key(prim), matrix, context, emits))
+        elif kind in LIGHT_TYPES or kind == "Camera":
+            frame.found.append(Found(prim, kind, frame.key(prim), matrix, context))
+        elif kind in UNSUPPORTED_LIGHTS:
+            self.reader.warn(prim, f"{kind} is not supported yet; ignored")
+        elif kind in UNSUPPORTED_PRIMS and context.purpose in self.purposes and context.visible:
+            self.unsupported.setdefault(kind, []).append(str(prim.GetPath()))
+
+    def native_instance(self, prim: Usd.Prim, frame: Frame, context: Context, matrix: Gf.Matrix4d) -> None:
+        if not context.visible:
+            return
+        signature = (prim.GetPrototype().GetPath(), frame.predicate is PROTOTYPES, frame.in_point_instancer)
+        signature += (context.purpose, tuple((name, value) for name, _, value in context.primvars))
+        signature += (self.bound_below(prim) if context.collections else context.bindings,)
+        child = self.frames.get(signature)
+        if child is None:
+            child = Frame(
+                frame.key(prim), len(str(prim.GetPath())), frame.predicate, frame.in_point_instancer
+            )
+            self.frames[signature] = child
+            self.push(prim.GetFilteredChildren(child.predicate), child, context, IDENTITY)
+        frame.native.setdefault(child, []).append(matrix)
+
+    def bound_below(self, instance: Usd.Prim) -> tuple[str, ...]:
+        """Materials of everything in an instance: what collection bindings, which name paths, make of it."""
+        prims = [
+            p for p in Usd.PrimRange(instance, INSTANCES) if p.IsA(UsdGeom.Imageable) or p.IsA(UsdGeom.Subset)
+        ]
+        materials, _ = UsdShade.MaterialBindingAPI.ComputeBoundMaterials(prims, self.binding_purpose)
+        return tuple(canonical_path(m.GetPrim()) if m else "" for m in materials)
+
+    def point_instancer(self, prim: Usd.Prim, frame: Frame, context: Context, matrix: Gf.Matrix4d) -> None:
+        indices, matrices = point_instances(prim, self.reader)
+        targets = prim.GetRelationship("prototypes").GetForwardedTargets()
+        for i in np.unique(indices):
+            prototype = self.stage.GetPrimAtPath(targets[i])
+            if not prototype or not prototype.IsActive():
+                self.reader.warn(
+                    prim, f"prototypes: {targets[i]} does not exist; its instances are not rendered"
+                )
+                continue
+            child = self.prototype_frame(prim, int(i), prototype, frame, context)
+            local = np.array(self.xforms.GetLocalTransformation(prototype)[0])
+            frame.points.append((child, local @ matrices[indices == i] @ np.array(matrix)))
+
+    def prototype_frame(
+        self, prim: Usd.Prim, i: int, prototype: Usd.Prim, frame: Frame, context: Context
+    ) -> Frame:
+        signature = (prototype.GetPath(), context.purpose)
+        child = self.frames.get(signature)
+        if child is None:
+            base = f"{frame.key(prim)}.prototypes[{i}]"
+            child = Frame(base, len(str(prototype.GetPath())), PROTOTYPES, in_point_instancer=True)
+            self.frames[signature] = child
+            inherited = replace(ancestry(prototype, self.reader), visible=True, purpose=context.purpose)
+            self.open.append((prototype, child, inherited, None))
+        return child
+
+    def warn_cycle(self, frame: Frame) -> None:
+        self.reader.warn(
+            frame.base, "prototypes: a prototype contains its own instancer; the inner is not rendered"
+        )
+
+    def report_unsupported(self) -> None:
+        for kind, paths in self.unsupported.items():
+            self.reader.warn(paths[0], f"{kind} is not rendered yet ({len(paths)} prims, this is the first)")
+
+
+def descend(prim: Usd.Prim, context: Context, reader: Reader) -> Context:
+    """The context of a prim from that of its parent."""
+    changes: dict[str, Any] = {}
+    names = prim.GetAuthoredPropertyNames()
+    if "visibility" in names and reader.value(prim, "visibility", "inherited") == "invisible":
+        changes["visible"] = False
+    if "purpose" in names:
+        changes["purpose"] = reader.value(prim, "purpose", "default")
+    if any(name.startswith("primvars:") for name in names):
+        changes["primvars"] = constant_primvars(prim, context, reader)
+    if any(name.startswith("material:binding") for name in names):
+        changes["bindings"] = direct_bindings(prim, context)
+        changes["collections"] = context.collections or any("binding:collection" in name for name in names)
+    return replace(context, **changes) if changes else context
+
+
+def constant_primvars(prim: Usd.Prim, context: Context, reader: Reader) -> tuple:
+    """Constant primvars are inherited; one of another interpolation ends that (UsdGeomPrimvarsAPI)."""
+    primvars = {entry[0]: entry for entry in context.primvars}
+    api = UsdGeom.PrimvarsAPI(prim)
+    for name in PRIMVARS:
+        primvar = api.GetPrimvar(name)
+        if not (primvar and primvar.HasAuthoredValue()):
+            continue
+        primvars.pop(name, None)
+        if primvar.GetInterpolation() == UsdGeom.Tokens.constant:
+            primvars[name] = (name, primvar, repr(primvar.ComputeFlattened(reader.time)).encode())
+    return tuple(primvars.values())
+
+
+def direct_bindings(prim: Usd.Prim, context: Context) -> tuple:
+    """Per purpose the nearest binding holds, unless one above is stronger than descendants."""
+    bindings = {entry[0]: entry for entry in context.bindings}
+    for relationship in prim.GetAuthoredPropertiesInNamespace("material"):
+        name = str(relationship.GetName())
+        if not name.startswith("material:binding") or not isinstance(relationship, Usd.Relationship):
+            continue
+        if name in bindings and bindings[name][2]:
+            continue
+        stronger = UsdShade.MaterialBindingAPI.GetMaterialBindingStrength(relationship)
+        targets = [canonical(prim.GetStage(), path) for path in relationship.GetForwardedTargets()]
+        bindings[name] = (name, " ".join(targets), stronger == UsdShade.Tokens.strongerThanDescendants)
+    return tuple(sorted(bindings.values()))
+
+
+def ancestry(prim: Usd.Prim, reader: Reader) -> Context:
+    """The context above a prim anywhere on the stage."""
+    chain = []
+    parent = prim.GetParent()
+    while parent and not parent.IsPseudoRoot():
+        chain.append(parent)
+        parent = parent.GetParent()
+    context = Context()
+    for ancestor in reversed(chain):
+        context = descend(ancestor, context, reader)
+    return context
+
+
+def canonical(stage: Usd.Stage, path: Any) -> str:
+    prim = stage.GetPrimAtPath(path)
+    return canonical_path(prim) if prim else str(path)
+
+
+def canonical_path(prim: Usd.Prim) -> str:
+    """One path for a prim that native instances share: that below the first instance of its prototype.
+
+    Prototype names change from open to open, instance paths do not.
+    """
+    if prim.IsInstanceProxy():
+        prim = prim.GetPrimInPrototype()
+    if not prim.IsInPrototype():
+        return str(prim.GetPath())
+    root = prim.GetPath().GetPrefixes()[0]
+    instances = prim.GetStage().GetPrimAtPath(root).GetInstances()
+    first = min(canonical_path(instance) for instance in instances)
+    return first + str(prim.GetPath())[len(str(root)) :]
