@@ -1,0 +1,56 @@
+# What a newcomer types: `make render`, `make test`. Needs a Rust toolchain, a C compiler and Python 3.10 or newer;
+# everything else comes into .venv. Another Python: `make PYTHON=python3.12 render`.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+INSTALLED := $(VENV)/.installed
+TEST_INSTALLED := $(VENV)/.installed-test
+SOURCES := pyproject.toml Cargo.toml Cargo.lock \
+    $(shell find src hydra_bridge -type f \( -name '*.rs' -o -name '*.toml' -o -name '*.py' -o -name '*.pyi' \))
+
+# pyo3 asks this interpreter for its build settings, also under clippy and rustdoc.
+export PYO3_PYTHON := $(CURDIR)/$(BIN)/python
+
+.PHONY: render test lint format clean
+.DELETE_ON_ERROR:
+
+render: $(INSTALLED)
+	mkdir -p out
+	$(BIN)/dermis record usd_scenes/orc.usda out/orc.exr --displayImage out/orc.png --progress bar
+
+test: $(TEST_INSTALLED) lint
+	cargo test --release
+	$(BIN)/python -m pytest
+
+lint: $(TEST_INSTALLED)
+	cargo fmt --all --check
+	cargo clippy --workspace --all-targets -- -D warnings
+	RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+format: $(TEST_INSTALLED)
+	cargo fmt --all
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+$(BIN)/python:
+	@command -v cargo >/dev/null || { echo "cargo not found: install Rust 1.85 or newer (https://rustup.rs)" >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || \
+	    { echo "$(PYTHON) is not Python 3.10 or newer; name one: make PYTHON=python3.12 $(MAKECMDGOALS)" >&2; exit 1; }
+	@$(PYTHON) -c 'import venv, ensurepip' || \
+	    { echo "$(PYTHON) cannot make virtual environments; on Debian: apt install python3-venv" >&2; exit 1; }
+	rm -rf $(VENV)
+	$(PYTHON) -m venv $(VENV)
+
+$(INSTALLED): $(SOURCES) | $(BIN)/python
+	$(BIN)/python -m pip install --disable-pip-version-check .
+	touch $@
+
+$(TEST_INSTALLED): $(SOURCES) | $(BIN)/python
+	$(BIN)/python -m pip install --disable-pip-version-check '.[test]'
+	touch $(INSTALLED) $@
+
+clean:
+	rm -rf $(VENV) target out .pytest_cache .ruff_cache

@@ -1,0 +1,58 @@
+"""The command line: one module per command, each with NAME, HELP, `add_arguments` and `run`."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+from . import explain, flatten, record
+from .output import OutputError
+
+COMMANDS = (record, explain, flatten)
+
+INTERRUPTED = 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs `dermis ARGUMENTS`; exit codes: 0 done, 1 scene or render error, 2 usage, 130 interrupted."""
+    parser, parsers = build_parser()
+    args = parser.parse_args(arguments)
+    try:
+        return args.run(parsers[args.command], args)
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except (_scene_error(), OutputError) as error:
+        print(error, file=sys.stderr)
+        return 1
+
+
+def build_parser() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParser]]:
+    parser = argparse.ArgumentParser(
+        prog="dermis", description="A path tracer for USD shots with subsurface scattering"
+    )
+    parser.add_argument("--version", action=_Version)
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    parsers = {}
+    for module in COMMANDS:
+        command = commands.add_parser(module.NAME, help=module.HELP, description=module.HELP)
+        module.add_arguments(command)
+        command.set_defaults(run=module.run)
+        parsers[module.NAME] = command
+    return parser, parsers
+
+
+def _scene_error() -> type[Exception]:
+    # Imported late: `--help` and usage errors need no USD and no core.
+    from .scene import SceneError
+
+    return SceneError
+
+
+class _Version(argparse.Action):
+    def __init__(self, option_strings, dest, **options):
+        super().__init__(option_strings, dest, nargs=0, help="show the version and exit")
+
+    def __call__(self, parser, namespace, values, option_string=None):
+        from dermis._core import __version__
+
+        print(f"dermis {__version__}")
+        parser.exit(0)

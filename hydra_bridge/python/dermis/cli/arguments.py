@@ -1,0 +1,279 @@
+"""The flags: usdrecord's under their names, with their words, and what dermis adds.
+
+Every flag defaults to None, for typed flags override the stage's RenderSettings and defaults do not.
+"""
+
+import argparse
+from pathlib import Path
+from typing import TypeVar
+
+from .. import color
+from . import progress
+
+#: AOVs beside the beauty, as `flat::RenderSettings::aovs` names them.
+AOVS = ["alpha", "depth", "normal", "position", "albedo", "primId", "direct", "indirect", "subsurface", "variance"]
+WALKS = ("auto", "classical")
+LATER_WALKS = ("poe", "cp", "ii", "bono", "bill", "mixture", "vpg")
+PURPOSES = ("default", "render", "proxy", "guide")
+COMPLEXITIES = ("low", "medium", "high", "veryhigh")
+IMAGE_EXTENSIONS = (".exr", *color.EXTENSIONS)
+
+Number = TypeVar("Number", int, float)
+
+
+def add_stage_arguments(parser: argparse.ArgumentParser) -> None:
+    """Which stage, and how it is composed."""
+    parser.add_argument(
+        "usdFilePath", metavar="STAGE", help="USD file, or a .dermis file made by `dermis flatten`"
+    )
+    parser.add_argument(
+        "--mask",
+        dest="populationMask",
+        metavar="PRIMPATH[,PRIMPATH...]",
+        help="Limit stage population to these prims, their descendants and ancestors. To specify multiple paths, "
+        "either use commas with no spaces or quote the argument and separate paths by commas and/or spaces.",
+    )
+    parser.add_argument(
+        "--purposes",
+        type=_purposes,
+        metavar="PURPOSE[,PURPOSE...]",
+        help='UsdGeomImageable purposes to include (default=proxy). The "default" purpose is always included. '
+        "Separate several by commas, or by spaces within quotes.",
+    )
+    parser.add_argument(
+        "--sessionLayer",
+        dest="sessionLayerPath",
+        metavar="SESSIONLAYER",
+        help="open the stage with this session layer",
+    )
+    parser.add_argument(
+        "--resolver", choices=("root",), help="resolver context: made from the root layer (the only one here)"
+    )
+    parser.add_argument("--disableGpu", action="store_true", help="accepted; dermis never uses a GPU")
+    parser.add_argument(
+        "--disableDrawMode", action="store_true", help="accepted; dermis draws no draw-mode standins"
+    )
+
+
+def add_view_arguments(parser: argparse.ArgumentParser) -> None:
+    """Which view of the stage: camera, time, size, settings prim."""
+    parser.add_argument(
+        "--disableCameraLight",
+        action="store_true",
+        help="do not light a stage that has no lights from the camera",
+    )
+    parser.add_argument(
+        "--camera",
+        "-cam",
+        help="camera, as prim name or as full prim path (default=main_cam; without one, the stage is framed)",
+    )
+    time = parser.add_mutually_exclusive_group()
+    time.add_argument(
+        "--defaultTime",
+        "-d",
+        action="store_true",
+        help="operate at the Default time code (otherwise at the stage's startTimeCode)",
+    )
+    time.add_argument(
+        "--frames",
+        "-f",
+        metavar="FRAMESPEC[,FRAMESPEC...]",
+        help="FrameSpec(s) of the time codes to operate on: 123, 101:105, 105:101, 101:109x2, 101:104x0.5",
+    )
+    parser.add_argument(
+        "--complexity", "-c", choices=COMPLEXITIES, help="level of refinement to use (default=low)"
+    )
+    parser.add_argument(
+        "--renderer", "-r", choices=("dermis",), help="Hydra renderer plugin; there is one here"
+    )
+    parser.add_argument(
+        "--imageWidth",
+        "-w",
+        type=int,
+        help="width of the output image; the height follows from the camera's aspect ratio (default=960)",
+    )
+    parser.add_argument("--imageHeight", type=_positive, help="height of the output image")
+    parser.add_argument(
+        "--enableDomeLightVisibility",
+        action="store_true",
+        help="show dome lights in the background; otherwise they only light the scene",
+    )
+    parser.add_argument(
+        "--renderPassPrimPath",
+        "-rp",
+        dest="rpPrimPath",
+        help="RenderPass prim to take the RenderSettings from",
+    )
+    parser.add_argument(
+        "--renderSettingsPrimPath",
+        "-rs",
+        dest="rsPrimPath",
+        help="RenderSettings prim; overrides renderSettingsPrimPath of the stage metadata",
+    )
+
+
+def add_sampling_arguments(parser: argparse.ArgumentParser) -> None:
+    """How the image is computed; each is a render setting as well."""
+    group = parser.add_argument_group("rendering")
+    group.add_argument("--samples", type=_positive, metavar="N", help="samples per pixel")
+    group.add_argument(
+        "--timeLimit", type=_not_negative, metavar="S", help="stop after S seconds of rendering"
+    )
+    group.add_argument(
+        "--noiseThreshold",
+        type=_not_negative,
+        metavar="E",
+        help="stop when the estimated relative error is below E",
+    )
+    group.add_argument("--seed", type=_count, metavar="N", help="image = f(seed, sample range)")
+    group.add_argument(
+        "--sampleOffset", type=_count, metavar="N", help="index of the first sample of each pixel"
+    )
+    group.add_argument("--threads", type=_count, metavar="N", help="threads; 0: all (default)")
+    group.add_argument(
+        "--crop",
+        type=float,
+        nargs=4,
+        metavar=("X0", "Y0", "X1", "Y1"),
+        action=_Crop,
+        help="region to render, in [0, 1] with (0, 0) at the lower left as USD's dataWindowNDC",
+    )
+    group.add_argument("--maxDepth", type=_count, metavar="N", help="surface bounces")
+    group.add_argument(
+        "--walk", type=_walk, metavar="NAME", help=f"subsurface walk: {', '.join(WALKS)} (default=auto)"
+    )
+    group.add_argument(
+        "--walkPdf", choices=("conditional", "exact"), action=_Later, help="not in this version"
+    )
+    group.add_argument(
+        "--classicalFraction", type=float, metavar="P", action=_Later, help="not in this version"
+    )
+    group.add_argument("--aov", dest="aovs", action="append", choices=AOVS, help="AOV to write (repeatable)")
+    group.add_argument(
+        "--set",
+        dest="assignments",
+        nargs="?",
+        metavar="NAME=VALUE",
+        action=_Set,
+        help="any render setting (repeatable); alone, lists them with their defaults",
+    )
+
+
+def add_output_arguments(parser: argparse.ArgumentParser) -> None:
+    """What is written, and what is said meanwhile."""
+    group = parser.add_argument_group("output")
+    group.add_argument(
+        "--displayImage", type=_display_path, metavar="FILE", help="also write a PNG or JPEG for eyes"
+    )
+    group.add_argument(
+        "--colorCorrectionMode",
+        "-color",
+        choices=("disabled", "sRGB", "openColorIO"),
+        help="of PNG and JPEG (default=openColorIO): sRGB is the bare transfer curve, disabled keeps linear "
+        "values; EXR is always scene-linear",
+    )
+    group.add_argument(
+        "--ocioConfig", metavar="CONFIG", help=f"OpenColorIO config (default=$OCIO, {color.BUILTIN_CONFIG})"
+    )
+    group.add_argument("--ocioDisplay", metavar="NAME", help="OpenColorIO display")
+    group.add_argument("--ocioView", metavar="NAME", help="OpenColorIO view")
+    group.add_argument("--ocioLook", metavar="NAME", help="OpenColorIO look")
+    group.add_argument(
+        "--progress", choices=progress.KINDS, help="default: bar on a terminal, none otherwise"
+    )
+    group.add_argument("--stats", metavar="FILE.json", help="write settings, timings, counts and warnings")
+    group.add_argument("--traceToFile", metavar="FILE", help="trace USD's own work into this file")
+    group.add_argument(
+        "--traceFormat",
+        choices=("chrome", "trace"),
+        default="chrome",
+        help="of --traceToFile (default=%(default)s)",
+    )
+    group.add_argument("--memstats", action="store_true", help="account USD's memory by Pxr MallocTags")
+
+
+def image_path(text: str) -> str:
+    """A file name whose ending says which kind of image it is."""
+    return _with_extension(text, IMAGE_EXTENSIONS)
+
+
+def _display_path(text: str) -> str:
+    return _with_extension(text, color.EXTENSIONS)
+
+
+def _with_extension(text: str, extensions: tuple[str, ...]) -> str:
+    if Path(text).suffix.lower() not in extensions:
+        raise argparse.ArgumentTypeError(f"{text!r} must end in one of {', '.join(extensions)}")
+    return text
+
+
+def _purposes(text: str) -> tuple[str, ...]:
+    purposes = text.replace(",", " ").split()
+    for purpose in purposes:
+        if purpose not in PURPOSES:
+            raise argparse.ArgumentTypeError(f"Unrecognized purpose value '{purpose}'.")
+    return tuple(dict.fromkeys(["default", *purposes]))
+
+
+def _positive(text: str) -> int:
+    return _bounded(int(text), text, 1)
+
+
+def _count(text: str) -> int:
+    return _bounded(int(text), text, 0)
+
+
+def _not_negative(text: str) -> float:
+    value = float(text)
+    if value == float("inf"):
+        raise argparse.ArgumentTypeError(f"{text} is not finite")
+    return _bounded(value, text, 0)
+
+
+def _bounded(value: Number, text: str, least: int) -> Number:
+    if not value >= least:  # also for NaN
+        raise argparse.ArgumentTypeError(f"{text} is below {least}")
+    if value > 0xFFFF_FFFF:  # the core keeps counts in 32 bits
+        raise argparse.ArgumentTypeError(f"{text} is too large")
+    return value
+
+
+def _walk(name: str) -> str:
+    if name in LATER_WALKS:
+        raise argparse.ArgumentTypeError(f"walk {name!r} is not available in this version")
+    if name not in WALKS:
+        raise argparse.ArgumentTypeError(
+            f"invalid choice: {name!r} (choose from {', '.join(map(repr, WALKS))})"
+        )
+    return name
+
+
+class _Later(argparse.Action):
+    """A flag of the contract whose feature does not exist yet: refused, never ignored."""
+
+    def __call__(self, parser, namespace, values, option_string=None):
+        parser.error(f"argument {option_string}: not available in this version")
+
+
+class _Crop(argparse.Action):
+    """Checks the order and the range of a data window."""
+
+    def __call__(self, parser, namespace, values, option_string=None):
+        x0, y0, x1, y1 = values
+        if not (0.0 <= x0 < x1 <= 1.0 and 0.0 <= y0 < y1 <= 1.0):
+            parser.error(f"argument {option_string}: 0 <= X0 < X1 <= 1 and 0 <= Y0 < Y1 <= 1 must hold")
+        setattr(namespace, self.dest, values)
+
+
+class _Set(argparse.Action):
+    """Collects NAME=VALUE; without a value, lists the settings and leaves, as `--help` does."""
+
+    def __call__(self, parser, namespace, values, option_string=None):
+        from .settings import default_settings, listing
+
+        if values is None:
+            print(listing(default_settings()))
+            parser.exit(0)
+        if "=" not in values:
+            parser.error(f"argument {option_string}: expected NAME=VALUE, got {values!r}")
+        setattr(namespace, self.dest, [*(getattr(namespace, self.dest) or []), values])

@@ -1,0 +1,246 @@
+"""What a command works on: a USD stage that is flattened per frame, or a `.dermis` file."""
+
+import argparse
+import json
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from dermis import camera as cameras
+from dermis import hydra, stage
+from dermis._core import CoreError, Delegate
+from dermis.image import AUTO_CAMERA
+from pxr import Sdf, Usd, UsdGeom, UsdRender
+
+from . import view
+from .frames import resolve_times
+from .settings import Settings, SettingsError, overrides, typed_settings
+
+#: Flags that a flattened file has already answered.
+STAGE_FLAGS = (
+    "populationMask",
+    "purposes",
+    "sessionLayerPath",
+    "frames",
+    "defaultTime",
+    "complexity",
+    "rpPrimPath",
+    "rsPrimPath",
+    "enableDomeLightVisibility",
+)
+
+Warnings = list[tuple[str, str]]
+
+
+class SceneError(Exception):
+    """A scene that cannot be opened or flattened; the text names it."""
+
+
+@dataclass
+class Loaded:
+    """A scene in the delegate, not yet committed."""
+
+    delegate: Delegate
+    #: Path of the camera; empty when the stage is framed automatically.
+    camera: str
+    #: Seconds spent to open and flatten.
+    seconds: float
+    warnings: Warnings = field(default_factory=list)
+    #: Lines for the log.
+    log: list[str] = field(default_factory=list)
+
+
+class FlatFile:
+    """A `.dermis` file: one time, its settings inside, camera and sampling still to be chosen."""
+
+    def __init__(self, parser: argparse.ArgumentParser, args: argparse.Namespace, typed: Settings) -> None:
+        for flag in STAGE_FLAGS:
+            if getattr(args, flag, None):
+                parser.error(f"{flag} applies to a USD stage; {args.usdFilePath} is already flattened")
+        self.args = args
+        self.typed = typed
+        self.times: list[Usd.TimeCode | None] = [None]
+
+    def load(self, when: Usd.TimeCode | None) -> Loaded:
+        began = time.monotonic()
+        delegate = Delegate.load(self.args.usdFilePath)
+        stored = json.loads(delegate.settings())
+        loaded = Loaded(delegate, stored["camera"], 0.0)
+        self._choose_camera(loaded)
+        width, height = stored["resolution"]
+        kept = stored if self.args.imageWidth is None else {}
+        size = view.image_size(self.args, self.typed, kept, width / height)
+        shown = "" if loaded.camera == AUTO_CAMERA else loaded.camera
+        delegate.set_settings(json.dumps({**self.typed, "camera": loaded.camera, "resolution": size}))
+        loaded.camera, loaded.seconds = shown, time.monotonic() - began
+        return loaded
+
+    def _choose_camera(self, loaded: Loaded) -> None:
+        name = self.args.camera or self.typed.get("camera", "")
+        if not name:
+            return
+        found = view.find_named(loaded.delegate.cameras(), name)
+        if found is None:
+            loaded.warnings.append(
+                (name, f"camera: not found in {self.args.usdFilePath}; {loaded.camera} is used")
+            )
+        else:
+            loaded.camera = found
+
+
+class Stage:
+    """A USD stage, opened once and flattened for each time; the delegate is kept from time to time."""
+
+    def __init__(
+        self,
+        parser: argparse.ArgumentParser,
+        args: argparse.Namespace,
+        typed: Settings,
+        paths: tuple[str, ...],
+    ) -> None:
+        began = time.monotonic()
+        self.args = args
+        self.typed = typed
+        mask = (args.populationMask or "").replace(",", " ").split() or None
+        self.stage = stage.open_stage(args.usdFilePath, args.sessionLayerPath, mask)
+        self.times = resolve_times(parser, args, self.stage, paths)
+        self.warnings: Warnings = []
+        self.settings_path = self._settings_path()
+        self.purposes = self._purposes()
+        self._note_refinement()
+        self._opening = time.monotonic() - began
+        self._delegate: Delegate | None = None
+        self._previous: Any = None
+
+    def load(self, when: Usd.TimeCode) -> Loaded:
+        began = time.monotonic()
+        delegate, previous = self._delegate or Delegate(), self._previous
+        self._delegate = self._previous = None  # not kept if this frame fails half-way
+        flat = stage.flatten(self.stage, when, self._options())
+        loaded = Loaded(delegate, "", 0.0, warnings=[*self.warnings])
+        self._settle_view(flat, when, loaded)
+        hydra.populate(delegate, flat, previous)
+        loaded.warnings.extend(flat.warnings)
+        loaded.seconds = self._opening + time.monotonic() - began
+        self._opening = 0.0
+        self._delegate, self._previous = delegate, flat
+        return loaded
+
+    def _options(self) -> stage.Options:
+        return stage.Options(self.purposes, self.args.enableDomeLightVisibility, self.settings_path)
+
+    def _purposes(self) -> tuple[str, ...] | None:
+        """Typed, else (None) those that the settings prim authors, else usdrecord's default."""
+        if self.args.purposes:
+            return self.args.purposes
+        prim = self._settings_prim()
+        if prim and UsdRender.Settings(prim).GetIncludedPurposesAttr().HasAuthoredValue():
+            return None
+        hidden = [p for p in self.stage.Traverse() if p.IsA(UsdGeom.Gprim) and _purpose(p) == "render"]
+        if hidden:
+            message = f"purpose: render is left out, here and at {len(hidden) - 1} more prims; --purposes render has it"
+            self.warnings.append((str(hidden[0].GetPath()), message))
+        return ("default", "proxy")
+
+    def _settings_prim(self) -> Usd.Prim | None:
+        path = self.settings_path
+        prim = self.stage.GetPrimAtPath(path) if Sdf.Path.IsValidPathString(path) else None
+        return prim if prim and prim.IsA(UsdRender.Settings) else None
+
+    def _note_refinement(self) -> None:
+        level = self.args.complexity or "low"
+        if level != "low":
+            message = f"--complexity {level}: subdivision is not available in this version; meshes render as authored"
+            self.warnings.append(("/", message))
+
+    def _settle_view(self, flat: Any, when: Usd.TimeCode, loaded: Loaded) -> None:
+        """Completes the flattened stage with camera, size, typed settings and, where needed, a light."""
+        authored = dict(flat.settings)
+        loaded.log = overrides(self.typed, authored, f"<{self.settings_path}>")
+        camera = self._find_camera(authored.get("camera", ""), loaded)
+        if camera:
+            path = loaded.camera = str(camera.GetPath())
+            if path not in flat.prims:
+                flat.prims[path] = cameras.camera_fields(camera, when)
+        else:
+            path = AUTO_CAMERA
+            aspect = view.framing_aspect(self.args, self.typed, authored)
+            flat.prims[path] = cameras.auto_camera(self.stage, when, flat.purposes, aspect)
+        size = view.image_size(self.args, self.typed, authored, view.aspect_ratio(flat.prims[path]))
+        if "resolution" in authored and size != authored["resolution"]:
+            loaded.log += overrides({"resolution": size}, authored, f"<{self.settings_path}>")
+        flat.settings.update({**self.typed, "camera": path, "resolution": size})
+        self._light(flat, path, loaded)
+
+    def _find_camera(self, authored: str, loaded: Loaded) -> UsdGeom.Camera | None:
+        """Typed, else of the settings prim, else `main_cam`; None when there is none of them."""
+        typed = self.args.camera or self.typed.get("camera", "")
+        for name, attribute in ((typed, "camera"), (authored, f"camera of {self.settings_path}")):
+            camera = cameras.find_camera(self.stage, name) if name else None
+            if camera:
+                return camera
+            if name:
+                loaded.warnings.append((name, f"{attribute}: there is no such camera on the stage"))
+        camera = cameras.find_camera(self.stage)
+        if camera is None:
+            loaded.warnings.append(("/", "camera: none found; the stage is framed automatically"))
+        return camera
+
+    def _light(self, flat: Any, camera: str, loaded: Loaded) -> None:
+        if any(prim["type"] == "Light" for prim in flat.prims.values()):
+            return
+        if self.args.disableCameraLight:
+            loaded.warnings.append(("/", "lights: the stage has none and the camera light is disabled"))
+            return
+        flat.prims[view.CAMERA_LIGHT] = view.camera_light(flat.prims[camera])
+        loaded.warnings.append(
+            (
+                "/",
+                "lights: the stage has none; it is lit from the camera (--disableCameraLight turns that off)",
+            )
+        )
+
+    def _settings_path(self) -> str:
+        """Path of the RenderSettings prim: typed, of the typed pass, or of the stage's metadata; or empty."""
+        if self.args.rsPrimPath and self.args.rpPrimPath:
+            raise SceneError("Cannot specify both --renderSettingsPrimPath and --renderPassPrimPath")
+        if self.args.rpPrimPath:
+            return self._pass_settings(self.args.rpPrimPath)
+        return self.args.rsPrimPath or str(self.stage.GetMetadata("renderSettingsPrimPath") or "")
+
+    def _pass_settings(self, path: str) -> str:
+        prim = self.stage.GetPrimAtPath(path) if Sdf.Path.IsValidPathString(path) else Usd.Prim()
+        if not prim or not prim.IsA(UsdRender.Pass):
+            raise SceneError(f"Unknown render pass <{path}>")
+        targets = UsdRender.Pass(prim).GetRenderSourceRel().GetTargets()
+        if not targets:
+            raise SceneError(f"Render source not authored on {path}")
+        if len(targets) > 1:
+            self.warnings.append((path, f"renderSource: has multiple targets; using <{targets[0]}>"))
+        return str(targets[0])
+
+
+def open_scene(
+    parser: argparse.ArgumentParser, args: argparse.Namespace, defaults: Settings, paths: tuple[str, ...] = ()
+) -> Stage | FlatFile:
+    """The scene that the arguments name; `paths` are the arguments that name a file per frame.
+
+    Raises SceneError and SettingsError; leaves with a usage error for frames that do not fit `paths`.
+    """
+    typed = typed_settings(args, defaults)
+    if Path(args.usdFilePath).suffix.lower() == ".dermis":
+        return FlatFile(parser, args, typed)
+    try:
+        return Stage(parser, args, typed, paths)
+    except stage.StageError as error:
+        raise SceneError(str(error)) from error
+
+
+#: What a frame can fail by; anything else is a bug and shows its traceback.
+#: (ValueError: a setting or a number that the core does not take.)
+FRAME_ERRORS = (SceneError, SettingsError, stage.StageError, CoreError, ValueError, OSError)
+
+
+def _purpose(prim: Usd.Prim) -> str:
+    return str(UsdGeom.Imageable(prim).ComputePurpose())
