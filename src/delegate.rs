@@ -49,6 +49,8 @@ struct Pass {
 #[derive(Default)]
 pub struct RenderDelegate {
     flat: FlatScene,
+    /// Meshes as they were authored, where validation changed them: an edit applies to these.
+    authored: BTreeMap<String, flat::Mesh>,
     geometry: GeometryCache,
     scene: Option<Arc<Scene>>,
     /// What is compiled is what is described.
@@ -84,10 +86,14 @@ impl RenderDelegate {
         if let Prim::Mesh(new) = prim {
             prim = Prim::Mesh(self.merge_mesh(path, new, bits));
         }
+        let authored = prim.clone();
         let mut warnings = Vec::new();
         validate::validate_prim(path, &mut prim, &mut warnings);
-        self.prim_warnings.insert(path.into(), warnings);
         let path = path.to_owned();
+        if let (Prim::Mesh(mesh), false) = (authored, warnings.is_empty()) {
+            self.authored.insert(path.clone(), mesh);
+        }
+        self.prim_warnings.insert(path.clone(), warnings);
         match prim {
             Prim::Mesh(mesh) => drop(self.flat.meshes.insert(path, mesh)),
             Prim::Instancer(instancer) => drop(self.flat.instancers.insert(path, instancer)),
@@ -103,7 +109,8 @@ impl RenderDelegate {
         if bits.intersects(DirtyBits::GEOMETRY) {
             self.geometry.remove(path);
         }
-        let Some(old) = self.flat.meshes.remove(path).filter(|_| bits != DirtyBits::ALL) else { return new };
+        let old = self.authored.remove(path).or_else(|| self.flat.meshes.remove(path));
+        let Some(old) = old.filter(|_| bits != DirtyBits::ALL) else { return new };
         let has = |bit| bits.contains(bit);
         let mut mesh = old;
         if has(DirtyBits::TOPOLOGY) {
@@ -147,6 +154,7 @@ impl RenderDelegate {
     pub fn remove(&mut self, path: &str) {
         self.edit();
         self.geometry.remove(path);
+        self.authored.remove(path);
         self.prim_warnings.remove(path);
         let flat = &mut self.flat;
         flat.meshes.remove(path);
@@ -192,8 +200,10 @@ impl RenderDelegate {
         }
         self.stop();
         self.commit_warnings.clear();
-        self.flat.validate_names(&mut self.commit_warnings);
-        let (scene, stats) = compile(&self.flat, &mut self.geometry, &mut self.commit_warnings)?;
+        // A name that leads nowhere now may lead somewhere after the next edit: clear it in a copy (arrays are shared).
+        let mut named = self.flat.clone();
+        named.validate_names(&mut self.commit_warnings);
+        let (scene, stats) = compile(&named, &mut self.geometry, &mut self.commit_warnings)?;
         self.scene = Some(Arc::new(scene));
         self.compiled = stats;
         self.clean = true;

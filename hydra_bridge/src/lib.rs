@@ -34,12 +34,12 @@ impl Delegate {
 
     #[staticmethod]
     fn load(file: PathBuf) -> PyResult<Self> {
-        let scene = flat::load(&file).map_err(core_error)?;
+        let scene = flat::file::load(&file).map_err(core_error)?;
         Ok(Self { core: RenderDelegate::from_flat(scene) })
     }
 
     fn save(&self, file: PathBuf) -> PyResult<()> {
-        flat::save(self.core.flat(), &file).map_err(core_error)
+        flat::file::save(self.core.flat(), &file).map_err(core_error)
     }
 
     fn sync(&mut self, path: &str, prim: &str, arrays: Vec<Bound<'_, PyAny>>, dirty_bits: u32) -> PyResult<()> {
