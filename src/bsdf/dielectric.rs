@@ -150,3 +150,57 @@ impl Interface {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sampling::sampler::Sampler;
+    use crate::sampling::uniform_sphere;
+
+    fn bare(eta: f32, alpha: f32) -> Dielectric {
+        Dielectric { eta, alpha, reflect_tint: Rgb::ONE, transmit_tint: Rgb::ONE, compensation: 1.0 }
+    }
+
+    /// f(wo, wi) eta^2 = f(wi, wo) across the boundary (Veach 1997, eq. 5.14), f(wo, wi) = f(wi, wo) on one side.
+    #[test]
+    fn rough_dielectric_is_reciprocal_without_compensation() {
+        let mut sampler = Sampler::new(7, 0, 0);
+        let mut compared = 0;
+        for (eta, alpha) in [(1.5_f32, 0.3_f32), (1.33, 0.05), (1.0 / 1.5, 0.6), (2.4, 1.0)] {
+            for _ in 0..2000 {
+                let wo = uniform_sphere(sampler.next_2d()).abs();
+                let Some(wi) = bare(eta, alpha).sample(wo, sampler.random(), sampler.next_2d()) else { continue };
+                if wo.z < 0.02 || wi.z.abs() < 0.02 {
+                    continue; // f / cos amplifies rounding there
+                }
+                let forth = bare(eta, alpha).eval(wo, wi).x / wi.z.abs();
+                let back = if wi.z > 0.0 {
+                    bare(eta, alpha).eval(wi, wo).x / wo.z
+                } else {
+                    bare(1.0 / eta, alpha).eval(-wi, -wo).x / wo.z / (eta * eta)
+                };
+                assert!((forth - back).abs() <= 2e-3 * forth.max(back), "{eta} {alpha} {wo} {wi}: {forth} {back}");
+                compared += 1;
+            }
+        }
+        assert!(compared > 5000, "{compared}");
+    }
+
+    /// As alpha falls the rough interface becomes the smooth one.
+    #[test]
+    fn rough_tends_to_smooth() {
+        let wo = Vec3::new(0.6, 0.0, 0.8);
+        for eta in [1.5, 1.0 / 1.5, 1.33] {
+            let rough = bare(eta, 2e-3);
+            let smooth = bare(eta, 0.0);
+            assert!(!rough.is_smooth() && smooth.is_smooth());
+            for u_choice in [0.0, 0.999] {
+                let (wi, f, pdf) = smooth.sample_smooth(wo, u_choice).unwrap();
+                let near = rough.sample(wo, u_choice, Vec2::new(0.05, 0.3)).unwrap();
+                assert!((wi - near).length() < 0.02, "{eta}: {wi} {near}");
+                let weight = rough.eval(wo, near) / rough.pdf(wo, near);
+                assert!((weight - f / pdf).abs().max_element() < 2e-3, "{eta}: {weight} {}", f / pdf);
+            }
+        }
+    }
+}

@@ -58,3 +58,28 @@ fn fujii_albedo(mu: f32, roughness: f32) -> f32 {
     let g = sin * (mu.clamp(-1.0, 1.0).acos() - sin * mu) + 2.0 / 3.0 * (ratio - sin);
     a(roughness) * (1.0 + roughness * FRAC_1_PI * g)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The closed form against the integral of the single-scattering term.
+    #[test]
+    fn fujii_albedo_is_the_integral_of_its_term() {
+        let diffuse = Diffuse { rho: Rgb::ONE, roughness: 0.7 };
+        for mu in [0.05_f32, 0.3, 0.8, 1.0] {
+            let wo = Vec3::new((1.0 - mu * mu).sqrt(), 0.0, mu);
+            let (mut sum, n) = (0.0, 400);
+            for i in 0..n {
+                for j in 0..n {
+                    let r2 = (i as f32 + 0.5) / n as f32;
+                    let (sin, cos) = (PI * (j as f32 + 0.5) / n as f32).sin_cos();
+                    let wi = Vec3::new(r2.sqrt() * cos, r2.sqrt() * sin, (1.0 - r2).sqrt());
+                    sum += f64::from(diffuse.single(wo, wi).x);
+                }
+            }
+            let integral = (sum / f64::from(n * n)) as f32;
+            assert!((integral - fujii_albedo(mu, 0.7)).abs() < 3e-4, "{mu}: {integral} {}", fujii_albedo(mu, 0.7));
+        }
+    }
+}

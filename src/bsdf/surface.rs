@@ -42,7 +42,7 @@ pub enum Base {
     Layered(Layered),
 }
 
-/// A compiled material. Constants only; copying it is a kilobyte, so it is passed by reference.
+/// A compiled material. Constants only; copying it is two kilobytes, so it is passed by reference.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Surface {
     /// Radiance, both sides.
