@@ -1,0 +1,156 @@
+//! A compiled material: the constants a vertex needs, and the layers above the base that all shaders share.
+
+use super::check::Check;
+use super::interior::{Boundary, Interior};
+use super::layered::Layered;
+use super::lobe::Lobe;
+use super::preview::Storm;
+use super::specular::Specular;
+use super::{Bsdf, Side, openpbr, preview, standard};
+use crate::error::Warning;
+use crate::flat::Material;
+use crate::math::Rgb;
+use glam::Vec3;
+
+/// A clear layer on top, with a coverage; below it everything is tinted by `tint` (constant over angle: the longer
+/// way of slanted light through the coat, and light reflected down again by it, are left out).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Coat {
+    pub weight: f32,
+    pub tint: Rgb,
+    pub specular: Specular,
+}
+
+impl Coat {
+    /// `None` without coverage.
+    pub fn new(weight: f32, tint: Rgb, specular: impl FnOnce() -> Specular) -> Option<Self> {
+        (weight > 0.0).then(|| Self { weight, tint, specular: specular() })
+    }
+
+    /// Share left for what is below, seen under the cosine `mu`.
+    fn below(&self, mu: f32) -> Rgb {
+        (Rgb::ONE - self.weight * self.specular.albedo(mu)) * Rgb::ONE.lerp(self.tint, self.weight)
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+// A scene has few surfaces; a box would cost every vertex a cache line.
+#[allow(clippy::large_enum_variant)]
+pub enum Base {
+    /// UsdPreviewSurface without a medium.
+    Storm(Storm),
+    Layered(Layered),
+}
+
+/// A compiled material. Constants only; copying it is two kilobytes, so it is passed by reference.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Surface {
+    /// Radiance, both sides.
+    pub(super) emission: Rgb,
+    /// Colour for the albedo AOV.
+    pub(super) color: Rgb,
+    /// 1 - share of the whole surface that is absent.
+    pub(super) presence: f32,
+    pub(super) coat: Option<Coat>,
+    pub(super) base: Base,
+    pub(super) interior: Option<Interior>,
+}
+
+impl Surface {
+    /// Compiles `material`. `display_color` and `display_opacity` are the mesh's and stand in for a
+    /// UsdPreviewSurface whose `diffuseColor` is not authored. `boundary_override` replaces the boundary of every
+    /// medium that scatters or absorbs. Inputs out of range are clamped, NaN and infinity replaced by the default,
+    /// with a warning that names `prim` (the material's path) and the input.
+    pub fn compile(
+        material: &Material,
+        display_color: Option<Rgb>,
+        display_opacity: f32,
+        boundary_override: Option<Boundary>,
+        prim: &str,
+        warnings: &mut Vec<Warning>,
+    ) -> Self {
+        let mut check = Check { prim, warnings };
+        match material {
+            Material::UsdPreviewSurface(m) => {
+                preview::compile(m, display_color, display_opacity, boundary_override, &mut check)
+            }
+            Material::OpenPbr(m) => openpbr::compile(m, boundary_override, &mut check),
+            Material::StandardSurface(m) => standard::compile(m, boundary_override, &mut check),
+        }
+    }
+
+    /// The medium behind the surface.
+    pub fn interior(&self) -> Option<Interior> {
+        self.interior
+    }
+
+    /// Emitted radiance, the same in every direction on both sides; already dimmed by a coat.
+    pub fn emission(&self) -> Rgb {
+        self.presence * self.emission
+    }
+
+    pub fn is_emissive(&self) -> bool {
+        self.emission() != Rgb::ZERO
+    }
+
+    /// Colour for the albedo AOV.
+    pub fn albedo(&self) -> Rgb {
+        self.color
+    }
+
+    /// Share of light that goes straight through (opacity) at the absolute cosine `mu`: what a shadow ray keeps, and
+    /// exactly the weight of `Event::PassThrough`. 0 opaque, 1 invisible. Depends on `mu` only in opacityMode
+    /// `transparent`, where the specular lobe stays and takes its share.
+    pub fn transparency(&self, mu: f32) -> Rgb {
+        let base = match &self.base {
+            Base::Storm(storm) => storm.transparency(mu),
+            Base::Layered(layered) => layered.transparency(mu),
+        };
+        let coat = self.coat.map_or(Rgb::ONE, |coat| coat.below(mu));
+        Rgb::splat(1.0 - self.presence) + self.presence * coat * base
+    }
+
+    /// True where [`Surface::transparency`] is 0 at every angle.
+    pub fn is_opaque(&self) -> bool {
+        self.transparency(1.0) == Rgb::ZERO
+    }
+
+    /// The mixture seen along `wo` (unit, away from the vertex; local, z = normal to the outside of the object).
+    /// With `Side::Inside` it is the boundary seen from the medium: opacity, metal and coat are not there. Without a
+    /// medium the object is two-sided: both hemispheres of `wo` shade alike, whatever `side` says.
+    pub fn bsdf(&self, wo: Vec3, side: Side) -> Bsdf {
+        match self.interior {
+            Some(interior) if side == Side::Inside => self.inside(wo, interior),
+            _ => self.outside(wo),
+        }
+    }
+
+    fn outside(&self, wo: Vec3) -> Bsdf {
+        let mut bsdf = Bsdf::new(wo);
+        let mu = bsdf.mu();
+        bsdf.push(Lobe::PassThrough, Rgb::splat(1.0 - self.presence), Rgb::ONE);
+        let mut weight = Rgb::splat(self.presence);
+        if let Some(coat) = self.coat {
+            bsdf.push(coat.specular.lobe(mu), weight * coat.weight, coat.specular.albedo(mu));
+            weight *= coat.below(mu);
+        }
+        match &self.base {
+            Base::Storm(storm) => storm.push(&mut bsdf, weight),
+            Base::Layered(layered) => layered.push(&mut bsdf, weight),
+        }
+        bsdf.normalized()
+    }
+
+    fn inside(&self, wo: Vec3, interior: Interior) -> Bsdf {
+        let mut bsdf = Bsdf::new(wo);
+        let lobe = match (interior.boundary, &self.base) {
+            (Boundary::Diffuse, _) => return Bsdf::exit(wo),
+            (Boundary::Dielectric, Base::Layered(layered)) => {
+                layered.interface().map(|i| Lobe::Interface(i.inside(bsdf.mu())))
+            }
+            _ => None,
+        };
+        bsdf.push(lobe.unwrap_or(Lobe::IndexMatched), Rgb::ONE, Rgb::ONE);
+        bsdf.normalized()
+    }
+}
