@@ -2,5 +2,6 @@
 
 pub mod error;
 pub mod flat;
+pub mod light;
 pub mod math;
 pub mod sampling;
