@@ -1,5 +1,6 @@
 //! Warps from the unit square, and weights that combine samplers.
 
+pub mod distribution;
 pub mod sampler;
 
 use crate::math::{FRAC_1_PI, PI, TAU};

@@ -1,0 +1,206 @@
+//! Lights: UsdLux' radiometry, sampled.
+//!
+//! `emission` and `shaping` say how bright, `shape` and its variants say where, `area`, `distant` and `dome`
+//! join the two, `choice` picks one light out of many, `compile` makes them from the flattened scene.
+//!
+//! Space is render space: world translated, never rotated. Directions `wi` are unit and point from the
+//! receiver to the light. All pdfs are per solid angle at the receiver.
+
+mod area;
+mod choice;
+mod compile;
+mod cylinder;
+mod disk;
+mod distant;
+mod dome;
+mod ellipsoid;
+mod emission;
+mod mesh;
+mod patch;
+mod rect;
+mod shape;
+mod shaping;
+#[cfg(test)]
+mod tests;
+mod texels;
+
+pub use area::AreaLight;
+pub use compile::MeshTriangles;
+pub use distant::Distant;
+pub use dome::Dome;
+pub use shape::{Shape, ShapeHit};
+
+use crate::math::Rgb;
+use glam::{Vec2, Vec3};
+use std::collections::BTreeMap;
+
+#[derive(Debug, Clone)]
+pub enum Light {
+    Area(AreaLight),
+    Distant(Distant),
+    Dome(Dome),
+}
+
+impl Light {
+    fn importance(&self, p: Vec3, n: Option<Vec3>) -> f32 {
+        match self {
+            Light::Area(light) => light.importance(p, n),
+            Light::Distant(light) => light.importance(n),
+            Light::Dome(light) => light.importance(),
+        }
+    }
+
+    fn shines(&self) -> bool {
+        match self {
+            Light::Area(light) => light.shines(),
+            Light::Distant(light) => light.shines(),
+            Light::Dome(light) => light.shines(),
+        }
+    }
+}
+
+/// Light arriving at a point from a sampled direction, without shadows.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LightSample {
+    pub light: u32,
+    pub wi: Vec3,
+    /// To the light; infinite for domes and distant lights.
+    pub distance: f32,
+    /// Of a `delta` light: irradiance of a surface facing it. May be zero (shaping, dark texels).
+    pub radiance: Rgb,
+    /// Per solid angle, times the probability of having chosen this light; the latter alone if `delta`.
+    pub pdf: f32,
+    /// A single direction: no other sampler can find it.
+    pub delta: bool,
+}
+
+/// All lights of a scene that emit anything.
+#[derive(Debug, Clone, Default)]
+pub struct Lights {
+    lights: Vec<Light>,
+    paths: Vec<String>,
+    camera_visible: Vec<bool>,
+    /// Domes and distant lights of positive angle.
+    infinite: Vec<u32>,
+    /// Mesh key to light.
+    meshes: BTreeMap<String, u32>,
+}
+
+impl Lights {
+    pub fn len(&self) -> usize {
+        self.lights.len()
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.lights.is_empty()
+    }
+
+    /// Prim path.
+    pub fn path(&self, light: u32) -> &str {
+        &self.paths[light as usize]
+    }
+
+    pub fn camera_visible(&self, light: u32) -> bool {
+        self.camera_visible[light as usize]
+    }
+
+    /// The light that the mesh of this key is.
+    pub fn mesh_light(&self, mesh: &str) -> Option<u32> {
+        self.meshes.get(mesh).copied()
+    }
+
+    /// A light chosen by its estimated contribution at `p`, and a direction to it. `n` is the normal of a
+    /// receiver that takes light from its side only; without it light from all around counts. `None`: this
+    /// sample contributes nothing.
+    pub fn sample(&self, p: Vec3, n: Option<Vec3>, u_choice: f32, u: Vec2) -> Option<LightSample> {
+        let (light, chosen) = self.choose(p, n, u_choice)?;
+        let mut sample = self.sample_light(light, p, n, u)?;
+        sample.pdf *= chosen;
+        (sample.pdf > 0.0 && sample.pdf.is_finite()).then_some(sample)
+    }
+
+    /// As [`Self::sample`] with the light given: the pdf is without the choice.
+    fn sample_light(&self, light: u32, p: Vec3, n: Option<Vec3>, u: Vec2) -> Option<LightSample> {
+        let infinite = |(wi, pdf): (Vec3, f32), radiance: Rgb, delta| LightSample {
+            light,
+            wi,
+            distance: f32::INFINITY,
+            radiance,
+            pdf,
+            delta,
+        };
+        match &self.lights[light as usize] {
+            Light::Area(area) => area.shape.sample(p, u).map(|s| LightSample {
+                light,
+                wi: s.wi,
+                distance: s.hit.t,
+                radiance: area.radiance(s.wi, &s.hit),
+                pdf: s.pdf,
+                delta: false,
+            }),
+            Light::Distant(distant) => {
+                let s = distant.sample(u);
+                Some(infinite(s, distant.sampled_radiance(s.0), distant.is_delta()))
+            }
+            Light::Dome(dome) => {
+                let s = dome.sample(n, u);
+                Some(infinite(s, dome.radiance(s.0), false))
+            }
+        }
+    }
+
+    /// Solid-angle pdf with which [`Self::sample`] gives the direction `wi` that meets an area light at
+    /// `hit`, choice included. Mesh lights: [`ShapeHit::on_mesh`].
+    pub fn pdf_hit(&self, light: u32, p: Vec3, n: Option<Vec3>, wi: Vec3, hit: &ShapeHit) -> f32 {
+        let Light::Area(area) = &self.lights[light as usize] else { return 0.0 };
+        area.shape.pdf(p, wi, hit) * self.choice_probability(light, p, n)
+    }
+
+    /// Radiance that arrives along `wi` from `hit` on an area light; zero from its dark side.
+    pub fn radiance_hit(&self, light: u32, wi: Vec3, hit: &ShapeHit) -> Rgb {
+        match &self.lights[light as usize] {
+            Light::Area(area) => area.radiance(wi, hit),
+            Light::Distant(_) | Light::Dome(_) => Rgb::ZERO,
+        }
+    }
+
+    /// Area lights that rays meet by [`Self::intersect`], each with its box (min, max).
+    pub fn shapes(&self) -> impl Iterator<Item = (u32, (Vec3, Vec3))> {
+        self.lights.iter().enumerate().filter_map(|(i, light)| match light {
+            Light::Area(AreaLight { shape: Shape::Mesh(_), .. }) | Light::Distant(_) | Light::Dome(_) => None,
+            Light::Area(area) => Some((i as u32, area.shape.bounds())),
+        })
+    }
+
+    /// Nearest hit of the emitting side with t in (0, t_max), `d` unit. Dark sides let rays pass.
+    pub fn intersect(&self, light: u32, o: Vec3, d: Vec3, t_max: f32) -> Option<ShapeHit> {
+        match &self.lights[light as usize] {
+            Light::Area(area) => area.shape.intersect(o, d, t_max),
+            Light::Distant(_) | Light::Dome(_) => None,
+        }
+    }
+
+    /// Lights that a ray which leaves the scene may see.
+    pub fn infinite(&self) -> &[u32] {
+        &self.infinite
+    }
+
+    /// Radiance of an infinite light from direction `wi`.
+    pub fn escaped(&self, light: u32, wi: Vec3) -> Rgb {
+        match &self.lights[light as usize] {
+            Light::Distant(distant) => distant.radiance(wi),
+            Light::Dome(dome) => dome.radiance(wi),
+            Light::Area(_) => Rgb::ZERO,
+        }
+    }
+
+    /// Solid-angle pdf with which [`Self::sample`] gives direction `wi` to an infinite light, choice included.
+    pub fn pdf_escaped(&self, light: u32, p: Vec3, n: Option<Vec3>, wi: Vec3) -> f32 {
+        let pdf = match &self.lights[light as usize] {
+            Light::Distant(distant) => distant.pdf(wi),
+            Light::Dome(dome) => dome.pdf(n, wi),
+            Light::Area(_) => 0.0,
+        };
+        if pdf > 0.0 { pdf * self.choice_probability(light, p, n) } else { 0.0 }
+    }
+}

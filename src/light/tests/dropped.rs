@@ -1,0 +1,86 @@
+//! Lights that cannot shine are dropped, and said to be.
+
+use super::*;
+
+/// Warning of a light that must be dropped.
+fn dropped(light: flat::Light) -> String {
+    let mut warnings = Vec::new();
+    let prims = [("/World/bad".to_owned(), light)].into();
+    let lights = Lights::compile(&prims, &Prims::new(), &|_| None, DVec3::ZERO, &mut warnings);
+    assert!(lights.is_empty());
+    assert_eq!(warnings.len(), 1, "{warnings:?}");
+    assert_eq!(warnings[0].prim, "/World/bad");
+    warnings.remove(0).message
+}
+
+fn dropped_shape(shape: LightShape) -> String {
+    dropped(light(shape, IDENTITY))
+}
+
+#[test]
+fn sizes_that_are_no_sizes() {
+    let rect = |width, height| LightShape::Rect { width, height, texture: String::new() };
+    assert!(dropped_shape(rect(0.0, 1.0)).contains("inputs:width"));
+    assert!(dropped_shape(rect(1.0, -1.0)).contains("inputs:height"));
+    assert!(dropped_shape(LightShape::Disk { radius: f32::NAN }).contains("inputs:radius"));
+    assert!(dropped_shape(LightShape::Sphere { radius: -1.0 }).contains("inputs:radius"));
+    assert!(dropped_shape(LightShape::Sphere { radius: f32::INFINITY }).contains("inputs:radius"));
+    assert!(dropped_shape(LightShape::Cylinder { length: 0.0, radius: 1.0 }).contains("inputs:length"));
+    assert!(dropped_shape(LightShape::Distant { angle: f32::NAN }).contains("inputs:angle"));
+    assert!(dropped_shape(LightShape::Distant { angle: -1.0 }).contains("inputs:angle"));
+    assert!(dropped_shape(LightShape::Disk { radius: 1e-30 }).contains("area"));
+    assert!(dropped_shape(LightShape::Sphere { radius: 1e30 }).contains("area"));
+    assert!(dropped_shape(LightShape::Mesh { mesh: "/gone".into() }).contains("/gone"));
+}
+
+#[test]
+fn transforms_that_flatten() {
+    for shape in area_shapes() {
+        let flat = matrix([1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0; 3]);
+        assert!(dropped(light(shape.clone(), flat)).contains("xformOps"));
+        let nan = matrix([f64::NAN, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0; 3]);
+        assert!(dropped(light(shape, nan)).contains("xformOps"));
+    }
+}
+
+#[test]
+fn brightness_that_is_no_number() {
+    assert!(dropped(flat::Light { intensity: f32::INFINITY, ..Default::default() }).contains("inputs:intensity"));
+    assert!(dropped(flat::Light { exposure: 1e4, ..Default::default() }).contains("inputs:exposure"));
+}
+
+#[test]
+fn meshes_without_area() {
+    let mut warnings = Vec::new();
+    let prims = [("/m".to_owned(), light(LightShape::Mesh { mesh: "/m".into() }, IDENTITY))].into();
+    let lights = Lights::compile(&prims, &Prims::new(), &|_| Some(vec![[Vec3::ONE; 3]]), DVec3::ZERO, &mut warnings);
+    assert!(lights.is_empty() && warnings.len() == 1);
+}
+
+#[test]
+fn a_missing_texture_is_said_and_the_light_stays() {
+    let mut warnings = Vec::new();
+    let dome = LightShape::Dome { texture: "/gone.exr".into(), pole_axis: "Y".into() };
+    let prims = [("/d".to_owned(), light(dome, IDENTITY))].into();
+    let lights = Lights::compile(&prims, &Prims::new(), &|_| None, DVec3::ZERO, &mut warnings);
+    assert_eq!(lights.len(), 1);
+    assert!(warnings[0].message.contains("/gone.exr"));
+}
+
+#[test]
+fn the_dark_and_the_invisible_go_without_a_word() {
+    let invisible = flat::Light { visible: false, ..Default::default() };
+    let dark = flat::Light { intensity: 0.0, ..Default::default() };
+    assert!(compile(&[invisible, dark]).is_empty());
+}
+
+#[test]
+fn the_origin_of_render_space_is_taken_off_in_f64() {
+    let far = matrix([1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1e8, 0.0, 2.25]);
+    let prims = [("/far".to_owned(), light(LightShape::Sphere { radius: 0.25 }, far))].into();
+    let origin = DVec3::new(1e8, 0.0, 0.0);
+    let lights = Lights::compile(&prims, &Prims::new(), &|_| None, origin, &mut Vec::new());
+    assert_eq!(lights.path(0), "/far");
+    let hit = lights.intersect(0, Vec3::ZERO, Vec3::Z, 9.0).unwrap();
+    assert!((hit.t - 2.0).abs() < 1e-5);
+}
