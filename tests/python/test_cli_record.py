@@ -292,8 +292,8 @@ BAD_PRIMS = {
         "uniform token sub",
         'double3 xformOp:scale = (1, 0, 0)\nuniform token[] xformOpOrder = ["xformOp:scale"]\nuniform token sub',
     ),
-    "zero-area light": 'def RectLight "Bad" { float inputs:width = 0\n bool inputs:normalize = 1 }',
-    "missing texture": 'def DomeLight "Bad" { asset inputs:texture:file = @./gone.exr@ }',
+    "zero-area light": 'def RectLight "Bad"\n{\nfloat inputs:width = 0\nbool inputs:normalize = 1\n}',
+    "missing texture": 'def DomeLight "Bad"\n{\nasset inputs:texture:file = @./gone.exr@\n}',
 }
 
 
