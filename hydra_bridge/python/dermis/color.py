@@ -92,7 +92,7 @@ def open_config(name: str = "") -> tuple[ocio.Config, str]:
     try:
         config = ocio.Config.CreateFromFile(f"ocio://{name}" if name in builtins else name)
         config.validate()
-    except ocio.Exception as error:
+    except (ocio.Exception, ocio.ExceptionMissingFile) as error:
         raise ColorError(
             f"Could not open OpenColorIO config {name!r}: {error} Built-in configs: {', '.join(builtins)}"
         ) from error

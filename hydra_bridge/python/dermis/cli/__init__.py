@@ -1,4 +1,4 @@
-"""The command line: one module per command, each with NAME, HELP, `add_arguments` and `run`."""
+"""The command line: one module per command, each with NAME, FILES, HELP, `add_arguments` and `run`."""
 
 import argparse
 import sys
@@ -33,7 +33,8 @@ def build_parser() -> tuple[argparse.ArgumentParser, dict[str, argparse.Argument
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     parsers = {}
     for module in COMMANDS:
-        command = commands.add_parser(module.NAME, help=module.HELP, description=module.HELP)
+        usage = f"dermis {module.NAME} {module.FILES} [flags]"
+        command = commands.add_parser(module.NAME, help=module.HELP, description=module.HELP, usage=usage)
         module.add_arguments(command)
         command.set_defaults(run=module.run)
         parsers[module.NAME] = command

@@ -11,7 +11,18 @@ from .. import color
 from . import progress
 
 #: AOVs beside the beauty, as `flat::RenderSettings::aovs` names them.
-AOVS = ["alpha", "depth", "normal", "position", "albedo", "primId", "direct", "indirect", "subsurface", "variance"]
+AOVS = [
+    "alpha",
+    "depth",
+    "normal",
+    "position",
+    "albedo",
+    "primId",
+    "direct",
+    "indirect",
+    "subsurface",
+    "variance",
+]
 WALKS = ("auto", "classical")
 LATER_WALKS = ("poe", "cp", "ii", "bono", "bill", "mixture", "vpg")
 PURPOSES = ("default", "render", "proxy", "guide")

@@ -10,6 +10,7 @@ from .settings import SettingsError, default_settings, format_value
 from .warnings import merge
 
 NAME = "explain"
+FILES = "STAGE"
 HELP = "Says what a stage needs, what is switched on for it and why, and what is dropped"
 
 

@@ -12,6 +12,7 @@ from .settings import SettingsError, default_settings
 from .warnings import Printer
 
 NAME = "flatten"
+FILES = "STAGE OUT.dermis"
 HELP = "Writes the flattened scene as one file that `record` and `explain` take in place of a stage"
 
 
@@ -34,7 +35,6 @@ def run(parser: argparse.ArgumentParser, args: argparse.Namespace) -> int:
         scene = open_scene(parser, args, default_settings(), ("outputPath",))
     except SettingsError as error:
         parser.error(str(error))
-    prepare_folder(args.outputPath)
     printer = Printer()
     code = 0
     for when in scene.times:
@@ -49,6 +49,7 @@ def run(parser: argparse.ArgumentParser, args: argparse.Namespace) -> int:
 def flatten(loaded: Any, args: argparse.Namespace, when: Any, printer: Printer) -> None:
     printer.print(loaded.warnings)
     file = frame_path(args.outputPath, when.GetValue()) if args.frames else args.outputPath
+    prepare_folder(file)
     loaded.delegate.save(file)
     print(file)
 

@@ -76,6 +76,8 @@ class Progress:
             TextColumn("left"),
             TimeRemainingColumn(),
         )
-        self._bar = Bar(*columns, console=Console(stderr=True), refresh_per_second=5)
+        # Lines printed meanwhile go above the bar; those for a pipe are left alone.
+        shared = sys.stdout.isatty()
+        self._bar = Bar(*columns, console=Console(stderr=True), redirect_stdout=shared, refresh_per_second=5)
         self._task = self._bar.add_task("Rendering", total=1.0)
         self._bar.start()

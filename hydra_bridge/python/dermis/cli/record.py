@@ -22,6 +22,7 @@ from .progress import Progress, default_kind
 from .settings import SettingsError, default_settings
 
 NAME = "record"
+FILES = "STAGE OUTPUT"
 HELP = "Generates images from a USD file"
 
 #: Seconds between looks at a running render: short enough for Ctrl-C, long enough to cost nothing.
@@ -89,9 +90,6 @@ class Recorder:
     def record(self) -> int:
         from .scene import FRAME_ERRORS
 
-        for path in (self.args.outputImagePath, self.args.displayImage, self.args.stats):
-            if path:
-                output.prepare_folder(path)
         failed = False
         with (
             Progress(self.args.progress or default_kind(), len(self.scene.times)) as progress,
@@ -109,6 +107,9 @@ class Recorder:
 
     def frame(self, number: int, when: Any, progress: Progress, interrupt: Interrupt) -> None:
         began = self.began if number == 0 else time.monotonic()
+        for path in (self.args.outputImagePath, self.args.displayImage, self.args.stats):
+            if path:
+                output.prepare_folder(self.named(path, when))
         loaded = self.scene.load(when)
         self.say(f"Camera: {loaded.camera}", "Renderer plugin: dermis", *loaded.log)
         if when is not None:
@@ -134,18 +135,18 @@ class Recorder:
         return stats
 
     def write(self, loaded: Any, when: Any, stats: dict[str, Any]) -> None:
-        def named(path: str) -> str:
-            return frame_path(path, when.GetValue()) if self.args.frames else path
-
-        image = named(self.args.outputImagePath)
+        image = self.named(self.args.outputImagePath, when)
         if Path(image).suffix.lower() == ".exr":
             loaded.delegate.write_exr(image, json.dumps(exr_attributes(stats, when)))
         else:
             self.write_display(loaded, image)
         if self.args.displayImage:
-            self.write_display(loaded, named(self.args.displayImage))
+            self.write_display(loaded, self.named(self.args.displayImage, when))
         if self.args.stats:
-            output.write_json(named(self.args.stats), stats)
+            output.write_json(self.named(self.args.stats, when), stats)
+
+    def named(self, path: str, when: Any) -> str:
+        return frame_path(path, when.GetValue()) if self.args.frames else path
 
     def write_display(self, loaded: Any, file: str) -> None:
         with output.replacing(file) as temporary:

@@ -7,11 +7,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from dermis.image import AUTO_CAMERA
+from pxr import Sdf, Usd, UsdGeom, UsdRender
+
 from dermis import camera as cameras
 from dermis import hydra, stage
 from dermis._core import CoreError, Delegate
-from dermis.image import AUTO_CAMERA
-from pxr import Sdf, Usd, UsdGeom, UsdRender
 
 from . import view
 from .frames import resolve_times
@@ -28,6 +29,7 @@ STAGE_FLAGS = (
     "rpPrimPath",
     "rsPrimPath",
     "enableDomeLightVisibility",
+    "disableCameraLight",
 )
 
 Warnings = list[tuple[str, str]]
@@ -229,6 +231,7 @@ def open_scene(
     Raises SceneError and SettingsError; leaves with a usage error for frames that do not fit `paths`.
     """
     typed = typed_settings(args, defaults)
+    view.image_size(args, typed, {}, 1.0)  # only for what it refuses: before the stage is opened
     if Path(args.usdFilePath).suffix.lower() == ".dermis":
         return FlatFile(parser, args, typed)
     try:

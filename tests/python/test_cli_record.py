@@ -1,0 +1,431 @@
+"""The command line end to end: stages in, images, messages and exit codes out. Renders are tiny."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+pytest.importorskip("dermis._core", reason="the Rust core is not built")
+
+from dermis.cli import main
+
+CARD = """
+    def Mesh "Card"
+    {
+        int[] faceVertexCounts = [4]
+        int[] faceVertexIndices = [0, 1, 2, 3]
+        point3f[] points = [(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)]
+        color3f[] primvars:displayColor = [(1, 1, 1)]
+        uniform token subdivisionScheme = "none"
+    }
+"""
+
+CAMERA = """
+    def Camera "main_cam"
+    {
+        float horizontalAperture = 20
+        float verticalAperture = 20
+        float focalLength = 50
+        double3 xformOp:translate = (0, 0, 10)
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+    }
+"""
+
+DOME = """
+    def DomeLight "Dome"
+    {
+        float inputs:intensity = 1
+    }
+"""
+
+MOVING_LIGHT = """
+    def DistantLight "Sun"
+    {
+        float inputs:angle = 0
+        float inputs:intensity.timeSamples = {1: 1, 3: 3}
+    }
+"""
+
+SETTINGS = """
+def Scope "Render"
+{
+    def RenderSettings "Settings"
+    {
+        uniform int2 resolution = (24, 12)
+        rel camera = </World/shot>
+        int dermis:samples = 2
+    }
+}
+"""
+
+#: The flags of a small, quick render.
+SMALL = ("--samples", "2", "-w", "16")
+
+
+@pytest.fixture
+def stage(tmp_path):
+    """Writes a stage of the given prims below /World; returns its file name."""
+
+    def write(*prims: str, metadata: str = "", outside: str = "", name: str = "stage.usda") -> str:
+        body = "\n".join(prims)
+        text = (
+            f'#usda 1.0\n(\n    upAxis = "Y"\n    {metadata}\n)\ndef Xform "World"\n{{\n{body}\n}}\n{outside}'
+        )
+        (tmp_path / name).write_text(text)
+        return str(tmp_path / name)
+
+    return write
+
+
+def run(*arguments: str | Path) -> int:
+    """Exit code of `dermis ARGUMENTS`."""
+    try:
+        return main([str(argument) for argument in arguments])
+    except SystemExit as leave:
+        return leave.code
+
+
+def read_exr(file: Path):
+    """The image's specification and its float pixels (height, width, channels)."""
+    oiio = pytest.importorskip("OpenImageIO")
+    image = oiio.ImageBuf(str(file))
+    assert not image.has_error, image.geterror()
+    return image.spec(), image.get_pixels(oiio.FLOAT)
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_record_says_what_usdrecord_says(stage, tmp_path, capsys):
+    file = stage(CARD, CAMERA, DOME, metadata="startTimeCode = 5\n endTimeCode = 9")
+    assert run("record", file, tmp_path / "a.exr", *SMALL) == 0
+    said = capsys.readouterr()
+    assert said.out.splitlines() == [
+        "Camera: /World/main_cam",
+        "Renderer plugin: dermis",
+        "Recording time code: 5.000000",
+    ]
+    assert said.err == ""
+    spec, pixels = read_exr(tmp_path / "a.exr")
+    assert (spec.width, spec.height) == (16, 16)
+    # A white card in a white dome of radiance 1 (furnace), filling the middle of the view.
+    # Up to the highlight of the surface, which has a specular lobe.
+    np.testing.assert_allclose(pixels[6:10, 6:10, :3].mean(), 1.0, rtol=0.2)
+
+
+def test_png_is_the_display_transform_of_the_linear_image(stage, tmp_path):
+    from dermis import color
+
+    file = stage(CARD, CAMERA, DOME)
+    assert run("record", file, tmp_path / "a.exr", "--displayImage", tmp_path / "a.png", *SMALL) == 0
+    assert run("record", file, tmp_path / "b.png", *SMALL) == 0
+    shown = np.array(Image.open(tmp_path / "a.png"))
+    np.testing.assert_array_equal(shown, np.array(Image.open(tmp_path / "b.png")))
+    spec, pixels = read_exr(tmp_path / "a.exr")
+    rgba = pixels[..., [spec.channelnames.index(c) for c in "RGBA"]]
+    expected = color.display_pixels(rgba, color.DisplayTransform(), alpha=True)
+    # The EXR may hold half floats.
+    assert np.abs(expected.astype(int) - shown).max() <= 1
+
+
+def test_camera_by_name_by_path_and_missing(stage, tmp_path, capsys):
+    file = stage(CARD, CAMERA, CAMERA.replace("main_cam", "shot"), DOME)
+    for name in ("shot", "/World/shot"):
+        assert run("record", file, tmp_path / "a.exr", "-cam", name, *SMALL) == 0
+        assert "Camera: /World/shot\n" in capsys.readouterr().out
+    assert run("record", file, tmp_path / "b.exr", "--camera", "/World/nobody", *SMALL) == 0
+    said = capsys.readouterr()
+    assert "Warning: /World/nobody: camera: there is no such camera on the stage" in said.err
+    assert "Camera: /World/main_cam\n" in said.out
+    assert (tmp_path / "b.exr").exists()
+
+
+def test_stage_without_camera_is_framed(stage, tmp_path, capsys):
+    assert run("record", stage(CARD, DOME), tmp_path / "a.png", *SMALL) == 0
+    said = capsys.readouterr()
+    assert "Camera: \n" in said.out
+    assert "the stage is framed automatically" in said.err
+    image = np.array(Image.open(tmp_path / "a.png"))
+    # Height by GfCamera's default aspect; the card stands in the middle, the corners are empty.
+    assert image.shape == (11, 16, 4)
+    assert image[5, 8, 3] == 255 and image[5, 0, 3] == 0
+
+
+def test_stage_without_lights_is_lit_from_the_camera(stage, tmp_path, capsys):
+    file = stage(CARD, CAMERA)
+    assert run("record", file, tmp_path / "a.exr", *SMALL) == 0
+    assert "it is lit from the camera" in capsys.readouterr().err
+    _, pixels = read_exr(tmp_path / "a.exr")
+    # Up to the highlight of the surface, which has a specular lobe.
+    np.testing.assert_allclose(pixels[6:10, 6:10, :3].mean(), 1.0, rtol=0.2)
+    assert run("record", file, tmp_path / "b.exr", "--disableCameraLight", *SMALL) == 0
+    said = capsys.readouterr().err
+    assert "camera light is disabled" in said
+    assert "Warning: image: the image is all black" in said
+
+
+def test_empty_stage_renders_black(stage, tmp_path, capsys):
+    assert run("record", stage(), tmp_path / "a.png", *SMALL) == 0
+    assert "all black" in capsys.readouterr().err
+    assert not np.array(Image.open(tmp_path / "a.png"))[..., 3].any()
+
+
+def test_render_settings_prim_decides_unless_flags_are_typed(stage, tmp_path, capsys):
+    shot = CAMERA.replace("main_cam", "shot")
+    metadata = 'renderSettingsPrimPath = "/Render/Settings"'
+    file = stage(CARD, CAMERA, shot, DOME, metadata=metadata, outside=SETTINGS)
+    assert run("record", file, tmp_path / "a.png", "--stats", tmp_path / "a.json") == 0
+    assert "Camera: /World/shot\n" in capsys.readouterr().out
+    assert Image.open(tmp_path / "a.png").size == (24, 12)
+    assert json.loads((tmp_path / "a.json").read_text())["samples_per_pixel"] == 2
+    flags = ("-w", "8", "-cam", "main_cam", "--samples", "1")
+    assert run("record", file, tmp_path / "b.png", *flags) == 0
+    said = capsys.readouterr().out
+    assert "Camera: /World/main_cam\n" in said
+    assert "Flag overrides samples of </Render/Settings>: 1 instead of 2" in said
+    assert "Flag overrides resolution of </Render/Settings>: 8,8 instead of 24,12" in said
+    assert Image.open(tmp_path / "b.png").size == (8, 8)
+
+
+def test_render_pass_errors(stage, tmp_path, capsys):
+    file = stage(CARD, outside='def RenderPass "Pass" {}')
+    assert run("record", file, tmp_path / "a.png", "-rp", "/Pass", "-rs", "/S") == 1
+    assert "Cannot specify both --renderSettingsPrimPath and --renderPassPrimPath" in capsys.readouterr().err
+    assert run("record", file, tmp_path / "a.png", "-rp", "/Nothing") == 1
+    assert "Unknown render pass </Nothing>" in capsys.readouterr().err
+    assert run("record", file, tmp_path / "a.png", "-rp", "/Pass") == 1
+    assert "Render source not authored on /Pass" in capsys.readouterr().err
+
+
+def test_frames(stage, tmp_path, capsys):
+    file = stage(CARD, CAMERA, MOVING_LIGHT)
+    assert (
+        run("record", file, tmp_path / "f.##.#.exr", "--frames", "1:3,2.5", "--progress", "alf", *SMALL) == 0
+    )
+    said = capsys.readouterr().out
+    assert [f"Recording time code: {t:.6f}" in said for t in (1, 2, 3, 2.5)] == [True] * 4
+    assert said.count("Camera:") == 1
+    assert said.rstrip().endswith("ALF_PROGRESS 100%")
+    files = [tmp_path / f"f.{frame}.exr" for frame in ("01.0", "02.0", "02.5", "03.0")]
+    means = [read_exr(file)[1][6:10, 6:10, :3].mean() for file in files]
+    # As the light's intensity, interpolated between its samples.
+    np.testing.assert_allclose(means / means[0], [1.0, 2.0, 2.5, 3.0], rtol=1e-3)
+
+
+def test_a_frame_after_others_is_the_frame_alone(stage, tmp_path):
+    file = stage(CARD, CAMERA, MOVING_LIGHT)
+    assert run("record", file, tmp_path / "f.#.exr", "--frames", "1:3", *SMALL) == 0
+    assert run("record", file, tmp_path / "alone.#.exr", "--frames", "3", *SMALL) == 0
+    np.testing.assert_array_equal(read_exr(tmp_path / "f.3.exr")[1], read_exr(tmp_path / "alone.3.exr")[1])
+
+
+def test_one_failed_frame_does_not_stop_the_others(stage, tmp_path, capsys):
+    file = stage(CARD, CAMERA, DOME)
+    (tmp_path / "f.2.png").mkdir()
+    assert run("record", file, tmp_path / "f.#.png", "-f", "1:3", *SMALL) == 1
+    said = capsys.readouterr().err
+    assert "Recording aborted due to the following failure at time code 2.0: Cannot write" in said
+    assert (tmp_path / "f.1.png").is_file() and (tmp_path / "f.3.png").is_file()
+
+
+@pytest.mark.parametrize(
+    ("output", "flags", "said"),
+    [
+        ("a.exr", ["-f", "1:2"], "outputImagePath must contain exactly one frame number placeholder"),
+        ("a.#.exr", [], "outputImagePath cannot contain a frame number placeholder"),
+        ("a.#.exr", ["-f", "1:2x0.5"], "a minimum floating point precision of 1"),
+        (
+            "a.#.exr",
+            ["-f", "1:2", "--stats", "s.json"],
+            "stats must contain exactly one frame number placeholder",
+        ),
+        ("a.#.exr", ["-f", "one"], 'Invalid FrameSpec: "one"'),
+        ("a.exr", ["--set", "sampels=1"], "there is no setting 'sampels'; did you mean samples?"),
+        ("a.exr", ["--set", "resolution=4,4", "-w", "4"], "contradicts"),
+        ("a.exr", ["-w", "1000000"], "too large"),
+        ("a.png", ["--ocioView", "Pretty"], "Unknown OpenColorIO view 'Pretty'"),
+        ("a.png", ["-color", "sRGB", "--ocioView", "Raw"], "does not go with"),
+        ("a.exr", ["--walk", "mixture"], "not available in this version"),
+    ],
+)
+def test_usage_errors(stage, tmp_path, capsys, output, flags, said):
+    assert run("record", stage(CARD, CAMERA, DOME), tmp_path / output, *flags) == 2
+    assert said in capsys.readouterr().err
+    assert names(tmp_path) == ["stage.usda"]
+
+
+def test_missing_file(tmp_path, capsys):
+    assert run("record", tmp_path / "nope.usda", tmp_path / "a.exr") == 1
+    assert f"Could not open layer: {tmp_path / 'nope.usda'}" in capsys.readouterr().err
+    assert run("record", tmp_path / "nope.dermis", tmp_path / "a.exr") == 1
+    assert "nope.dermis" in capsys.readouterr().err
+    assert names(tmp_path) == []
+
+
+def test_missing_session_layer(stage, tmp_path, capsys):
+    assert run("record", stage(CARD), tmp_path / "a.exr", "--sessionLayer", tmp_path / "nope.usda") == 1
+    assert "Could not open layer" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["broken.usda", "broken.usdc", "broken.dermis"])
+def test_damaged_file(tmp_path, capsys, name):
+    (tmp_path / name).write_bytes(b"\x00\x01 this is no scene")
+    assert run("record", tmp_path / name, tmp_path / "a.exr", *SMALL) == 1
+    assert name in capsys.readouterr().err
+    assert names(tmp_path) == [name]
+
+
+BAD_PRIMS = {
+    "reference": 'def "Gone" (references = @./gone.usda@) {}',
+    "nan points": CARD.replace("(1, 1, 0)", "(nan, 1, 0)").replace("Card", "Bad"),
+    "infinite points": CARD.replace("(1, 1, 0)", "(inf, 1, 0)").replace("Card", "Bad"),
+    "index out of range": CARD.replace("[0, 1, 2, 3]", "[0, 1, 2, 9]").replace("Card", "Bad"),
+    "negative index": CARD.replace("[0, 1, 2, 3]", "[0, 1, 2, -1]").replace("Card", "Bad"),
+    "counts": CARD.replace("[4]", "[3]").replace("Card", "Bad"),
+    "singular scale": CARD.replace("Card", "Bad").replace(
+        "uniform token sub",
+        'double3 xformOp:scale = (1, 0, 0)\nuniform token[] xformOpOrder = ["xformOp:scale"]\nuniform token sub',
+    ),
+    "zero-area light": 'def RectLight "Bad"\n{\nfloat inputs:width = 0\nbool inputs:normalize = 1\n}',
+    "missing texture": 'def DomeLight "Bad"\n{\nasset inputs:texture:file = @./gone.exr@\n}',
+}
+
+
+@pytest.mark.parametrize("bad", BAD_PRIMS.values(), ids=BAD_PRIMS.keys())
+def test_bad_prim_warns_and_the_rest_renders(stage, tmp_path, capsys, bad):
+    stats = tmp_path / "s.json"
+    assert run("record", stage(CARD, CAMERA, DOME, bad), tmp_path / "a.exr", "--stats", stats, *SMALL) == 0
+    said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("Warning: ")]
+    assert [line for line in said if "/World/Bad" in line or "/World/Gone" in line]
+    written = json.loads(stats.read_text())
+    assert len(written["warnings"]) == len(said)
+    assert written["non_finite_samples"] == 0
+    _, pixels = read_exr(tmp_path / "a.exr")
+    assert np.isfinite(pixels).all()
+    assert pixels[8, 8, :3].min() > 0.5
+
+
+def test_zero_area_faces_render(stage, tmp_path):
+    flat = CARD.replace("(1, 1, 0), (-1, 1, 0)", "(1, -1, 0), (-1, -1, 0)").replace("Card", "Flat")
+    assert run("record", stage(CARD, CAMERA, DOME, flat), tmp_path / "a.exr", *SMALL) == 0
+    assert np.isfinite(read_exr(tmp_path / "a.exr")[1]).all()
+
+
+def test_crop_is_the_data_window(stage, tmp_path):
+    file = stage(CARD, CAMERA, DOME)
+    assert run("record", file, tmp_path / "a.exr", "--crop", "0.25", "0.5", "0.75", "1", *SMALL) == 0
+    assert run("record", file, tmp_path / "whole.exr", *SMALL) == 0
+    spec, pixels = read_exr(tmp_path / "a.exr")
+    assert (spec.full_width, spec.full_height) == (16, 16)
+    # y of USD's data window points up: the upper half.
+    assert (spec.x, spec.y, spec.width, spec.height) == (4, 0, 8, 8)
+    np.testing.assert_array_equal(pixels, read_exr(tmp_path / "whole.exr")[1][0:8, 4:12])
+
+
+def test_aovs_are_layers(stage, tmp_path):
+    file = stage(CARD, CAMERA, DOME)
+    assert run("record", file, tmp_path / "a.exr", "--aov", "depth", "--aov", "normal", *SMALL) == 0
+    channels = " ".join(read_exr(tmp_path / "a.exr")[0].channelnames)
+    assert "depth" in channels and "normal" in channels and "albedo" not in channels
+
+
+def test_flattened_file_gives_the_same_image(stage, tmp_path):
+    file = stage(CARD, CAMERA, DOME)
+    assert run("flatten", file, tmp_path / "a.dermis", "-w", "16") == 0
+    assert run("record", tmp_path / "a.dermis", tmp_path / "a.exr", "--samples", "2") == 0
+    assert run("record", file, tmp_path / "b.exr", *SMALL) == 0
+    np.testing.assert_array_equal(read_exr(tmp_path / "a.exr")[1], read_exr(tmp_path / "b.exr")[1])
+
+
+def test_flattened_file_refuses_flags_for_stages(stage, tmp_path, capsys):
+    assert run("flatten", stage(CARD, CAMERA, DOME), tmp_path / "a.dermis") == 0
+    assert run("record", tmp_path / "a.dermis", tmp_path / "a.exr", "--purposes", "render") == 2
+    assert "purposes applies to a USD stage" in capsys.readouterr().err
+
+
+def test_explain_lists_needs_and_warnings(stage, capsys):
+    assert run("explain", stage(CARD, DOME)) == 0
+    said = capsys.readouterr().out
+    assert "camera: framed automatically" in said
+    assert "needs" in said
+    assert "/: camera: none found" in said
+
+
+def test_set_alone_lists_the_settings(capsys):
+    assert run("record", "a.usda", "a.exr", "--set") == 0
+    listed = dict(line.split("=", 1) for line in capsys.readouterr().out.splitlines())
+    assert listed["walk"] == "auto" and int(listed["samples"]) > 0
+
+
+def test_stats_have_the_names_of_the_contract(stage, tmp_path):
+    assert (
+        run("record", stage(CARD, CAMERA, DOME), tmp_path / "a.exr", "--stats", tmp_path / "s.json", *SMALL)
+        == 0
+    )
+    stats = json.loads((tmp_path / "s.json").read_text())
+    for name in ("samples_per_pixel", "walks", "walk_steps", "peak_rss_bytes", "warnings", "needs"):
+        assert name in stats
+    assert {"total", "flatten", "compile", "train", "render"} <= stats["seconds"].keys()
+    assert stats["seconds"]["total"] >= stats["seconds"]["flatten"] > 0.0
+    assert stats["rays"]["total"] > 0
+    assert stats["non_finite_samples"] == 0
+
+
+def test_time_limit_ends_the_render_with_an_image(stage, tmp_path):
+    file = stage(CARD, CAMERA, DOME)
+    began = time.monotonic()
+    assert (
+        run("record", file, tmp_path / "a.exr", "-w", "32", "--samples", "1000000", "--timeLimit", "1") == 0
+    )
+    assert time.monotonic() - began < 10.0
+    assert (tmp_path / "a.exr").exists()
+
+
+def test_interrupt_writes_what_is_there(stage, tmp_path):
+    file = stage(CARD, CAMERA, DOME)
+    command = [
+        sys.executable,
+        "-m",
+        "dermis",
+        "record",
+        file,
+        str(tmp_path / "a.#.exr"),
+        "-f",
+        "1:2",
+        "-w",
+        "32",
+    ]
+    child = subprocess.Popen(
+        [*command, "--samples", "100000000", "--progress", "json"], stdout=subprocess.PIPE, text=True
+    )
+    # The first line of progress says that the render runs.
+    assert any('"progress"' in line for line in child.stdout)
+    os.kill(child.pid, signal.SIGINT)
+    child.communicate(timeout=60)
+    assert child.returncode == 130
+    assert names(tmp_path) == ["a.1.exr", "stage.usda"]
+    assert np.isfinite(read_exr(tmp_path / "a.1.exr")[1]).all()
+
+
+def test_bytes_of_one_and_two_threads_agree(stage, tmp_path):
+    file = stage(CARD, CAMERA, DOME)
+    for threads in ("1", "2"):
+        assert run("record", file, tmp_path / f"{threads}.exr", "--threads", threads, *SMALL) == 0
+    np.testing.assert_array_equal(read_exr(tmp_path / "1.exr")[1], read_exr(tmp_path / "2.exr")[1])
+
+
+def test_trace_of_usd(stage, tmp_path):
+    file = stage(CARD, CAMERA, DOME)
+    trace = tmp_path / "trace.txt"
+    assert (
+        run("record", file, tmp_path / "a.exr", "--traceToFile", trace, "--traceFormat", "trace", *SMALL) == 0
+    )
+    assert trace.stat().st_size > 0

@@ -1,0 +1,99 @@
+"""Frame specs and placeholders: usdrecord's rules and words."""
+
+import argparse
+
+import pytest
+from pxr import Usd
+
+from dermis.cli import frames
+
+
+@pytest.mark.parametrize(
+    ("path", "mark"),
+    [
+        ("a.###.exr", "###"),
+        ("a.##.##.exr", "##.##"),
+        ("#", "#"),
+        ("a.exr", None),
+        ("", None),
+        ("a.#.b#.exr", None),
+        ("a.##.##.##.exr", None),
+    ],
+)
+def test_placeholder(path, mark):
+    assert frames.placeholder(path) == mark
+
+
+@pytest.mark.parametrize(
+    ("path", "time", "file"),
+    [
+        ("a.###.exr", 7.0, "a.007.exr"),
+        ("a.###.exr", 1234.0, "a.1234.exr"),
+        ("a.###.##.exr", 1.5, "a.001.50.exr"),
+        ("a.#.exr", -3.0, "a.-3.exr"),
+        ("{a}.##.exr", 5.0, "{a}.05.exr"),
+        ("a.exr", 5.0, "a.exr"),
+    ],
+)
+def test_frame_path(path, time, file):
+    assert frames.frame_path(path, time) == file
+
+
+@pytest.mark.parametrize(
+    ("specs", "times", "decimals"),
+    [
+        ("123", [123], 0),
+        ("101:105", [101, 102, 103, 104, 105], 0),
+        ("105:103", [105, 104, 103], 0),
+        ("101:109x2", [101, 103, 105, 107, 109], 0),
+        ("101:110x2", [101, 103, 105, 107, 109], 0),
+        ("101:102x0.5", [101, 101.5, 102], 1),
+        ("1,5:6,2:3x0.25", [1, 5, 6, 2, 2.25, 2.5, 2.75, 3], 2),
+    ],
+)
+def test_frame_specs(specs, times, decimals):
+    assert frames.parse_frame_specs(specs) == (times, decimals)
+
+
+@pytest.mark.parametrize("specs", ["x", "1:2:3", "1:5x", "1:5x-1", "1:2x0", "1,,2"])
+def test_bad_frame_specs(specs):
+    with pytest.raises(ValueError, match="Invalid FrameSpec"):
+        frames.parse_frame_specs(specs)
+
+
+def resolve(path, specs=None, default_time=False, start=None):
+    stage = Usd.Stage.CreateInMemory()
+    if start is not None:
+        stage.SetStartTimeCode(start)
+    args = argparse.Namespace(frames=specs, defaultTime=default_time, outputImagePath=path)
+    return frames.resolve_times(argparse.ArgumentParser(prog="dermis"), args, stage, ("outputImagePath",))
+
+
+def test_times_without_frames():
+    assert [t.GetValue() for t in resolve("a.exr")] == [0.0]
+    assert [t.GetValue() for t in resolve("a.exr", start=12.0)] == [12.0]
+    assert resolve("a.exr", default_time=True)[0].IsDefault()
+
+
+@pytest.mark.parametrize(
+    ("path", "specs", "said"),
+    [
+        ("a.###.exr", None, "cannot contain a frame number placeholder when not operating on a frame range."),
+        (
+            "a.exr",
+            "1:2",
+            'must contain exactly one frame number placeholder of the form "###"" or "###.###".',
+        ),
+        (
+            "a.##.exr",
+            "1:2x0.5",
+            "require a minimum floating point precision of 1, but the frame placeholder in",
+        ),
+        ("a.##.exr", "abc", 'Invalid FrameSpec: "abc"'),
+    ],
+)
+def test_usage_errors(path, specs, said, capsys):
+    with pytest.raises(SystemExit) as error:
+        resolve(path, specs)
+    assert error.value.code == 2
+    assert said in capsys.readouterr().err
