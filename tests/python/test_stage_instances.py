@@ -267,7 +267,7 @@ def test_lights_in_instances_are_lights_each(flat):
     assert [prims[f"/A/Bulb[{i}]"]["transform"][3][0] for i in range(2)] == [1, 2]
     for i in range(2):
         light, mesh = prims[f"/A/Glow.light[{i}]"], prims[f"/A/Glow[{i}].mesh"]
-        assert light["shape"] == {"kind": "Mesh", "mesh": f"/A/Glow[{i}].mesh"}
+        assert light["shape"] == {"kind": "mesh", "mesh": f"/A/Glow[{i}].mesh"}
         assert light["transform"] == mesh["transform"] and mesh["instancer"] == ""
     assert not any(prim["type"] == "Instancer" for prim in prims.values())
 

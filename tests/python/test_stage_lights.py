@@ -22,13 +22,13 @@ def write_image(path, pixels, kind) -> None:
 
 
 DEFAULTS = {
-    "RectLight": {"kind": "Rect", "width": 1.0, "height": 1.0, "texture": ""},
-    "DiskLight": {"kind": "Disk", "radius": 0.5},
-    "SphereLight": {"kind": "Sphere", "radius": 0.5},
-    "CylinderLight": {"kind": "Cylinder", "length": 1.0, "radius": 0.5},
-    "DistantLight": {"kind": "Distant", "angle": pytest.approx(0.53)},
-    "DomeLight": {"kind": "Dome", "texture": "", "poleAxis": "Y"},
-    "DomeLight_1": {"kind": "Dome", "texture": "", "poleAxis": "Y"},
+    "RectLight": {"kind": "rect", "width": 1.0, "height": 1.0, "texture": ""},
+    "DiskLight": {"kind": "disk", "radius": 0.5},
+    "SphereLight": {"kind": "sphere", "radius": 0.5},
+    "CylinderLight": {"kind": "cylinder", "length": 1.0, "radius": 0.5},
+    "DistantLight": {"kind": "distant", "angle": pytest.approx(0.53)},
+    "DomeLight": {"kind": "dome", "texture": "", "poleAxis": "Y"},
+    "DomeLight_1": {"kind": "dome", "texture": "", "poleAxis": "Y"},
 }
 
 
@@ -125,7 +125,7 @@ def test_defaults_of_unsupported_attributes_say_nothing(flat):
 def test_mesh_light_is_a_mesh_too(flat):
     prims = flat(light("Sphere", "    float inputs:intensity = 4", '"MeshLightAPI"')).prims
     assert prims["/L"]["type"] == "Mesh"
-    assert prims["/L.light"]["shape"] == {"kind": "Mesh", "mesh": "/L"}
+    assert prims["/L.light"]["shape"] == {"kind": "mesh", "mesh": "/L"}
     assert prims["/L.light"]["intensity"] == 4.0
 
 
@@ -197,4 +197,4 @@ def test_our_stage(usd_scenes):
     flat_stage = flatten(open_stage(usd_scenes / "lights.usda"))
     assert flat_stage.warnings == []
     kinds = {prim["shape"]["kind"] for prim in flat_stage.prims.values() if prim["type"] == "Light"}
-    assert kinds == {"Rect", "Disk", "Sphere", "Cylinder", "Mesh", "Distant", "Dome"}
+    assert kinds == {"rect", "disk", "sphere", "cylinder", "mesh", "distant", "dome"}

@@ -84,26 +84,26 @@ def shape(prim: Usd.Prim, kind: str, reader: Reader, textures: dict[str, Fields]
         case "RectLight":
             texture = flatten_texture(prim, "inputs:texture:file", reader, textures)
             return {
-                "kind": "Rect",
+                "kind": "rect",
                 "width": number("width", 1.0),
                 "height": number("height", 1.0),
                 "texture": texture,
             }
         case "DiskLight":
-            return {"kind": "Disk", "radius": number("radius", 0.5)}
+            return {"kind": "disk", "radius": number("radius", 0.5)}
         case "SphereLight":
-            return {"kind": "Sphere", "radius": number("radius", 0.5)}
+            return {"kind": "sphere", "radius": number("radius", 0.5)}
         case "CylinderLight":
-            return {"kind": "Cylinder", "length": number("length", 1.0), "radius": number("radius", 0.5)}
+            return {"kind": "cylinder", "length": number("length", 1.0), "radius": number("radius", 0.5)}
         case "DistantLight":
-            return {"kind": "Distant", "angle": number("angle", 0.53)}
+            return {"kind": "distant", "angle": number("angle", 0.53)}
         case "DomeLight" | "DomeLight_1":
             return {
-                "kind": "Dome",
+                "kind": "dome",
                 "texture": dome_texture(prim, reader, textures),
                 "poleAxis": pole(prim, kind, reader),
             }
-    return {"kind": "Mesh", "mesh": ""}
+    return {"kind": "mesh", "mesh": ""}
 
 
 def dome_texture(prim: Usd.Prim, reader: Reader, textures: dict[str, Fields]) -> str:
