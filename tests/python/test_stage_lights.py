@@ -73,10 +73,17 @@ def test_shaping_only_where_applied_or_authored(flat):
     assert authored["coneAngle"] == 20.0
 
 
-@pytest.mark.parametrize(("axis", "up", "pole"), [("scene", "Y", "Y"), ("scene", "Z", "Z"), ("Y", "Z", "Y"), ("Z", "Y", "Z")])
+@pytest.mark.parametrize(
+    ("axis", "up", "pole"), [("scene", "Y", "Y"), ("scene", "Z", "Z"), ("Y", "Z", "Y"), ("Z", "Y", "Z")]
+)
 def test_pole_axis(flat, axis, up, pole):
     metadata = f'    upAxis = "{up}"'
-    assert flat(light("DomeLight_1", f'    token poleAxis = "{axis}"'), metadata=metadata).prims["/L"]["shape"]["poleAxis"] == pole
+    assert (
+        flat(light("DomeLight_1", f'    token poleAxis = "{axis}"'), metadata=metadata).prims["/L"]["shape"][
+            "poleAxis"
+        ]
+        == pole
+    )
     assert flat(light("DomeLight"), metadata=metadata).prims["/L"]["shape"]["poleAxis"] == "Y"
 
 
@@ -88,10 +95,19 @@ def test_dome_visibility_option(flat):
 
 
 def test_damaged_values_become_defaults(flat):
-    result = flat(light("DiskLight", "    float inputs:intensity = nan\n    float inputs:radius = inf\n    string inputs:exposure = 'x'"))
+    result = flat(
+        light(
+            "DiskLight",
+            "    float inputs:intensity = nan\n    float inputs:radius = inf\n    string inputs:exposure = 'x'",
+        )
+    )
     found = result.prims["/L"]
     assert (found["intensity"], found["exposure"], found["shape"]["radius"]) == (1.0, 0.0, 0.5)
-    assert sorted(message.split(":")[1] for _, message in result.warnings) == ["exposure", "intensity", "radius"]
+    assert sorted(message.split(":")[1] for _, message in result.warnings) == [
+        "exposure",
+        "intensity",
+        "radius",
+    ]
 
 
 @pytest.mark.parametrize(
@@ -141,7 +157,9 @@ def test_float_texture_is_linear_and_upright(flat, tmp_path):
         assert texture["pixels"].dtype == np.float32 and result.warnings == []
 
 
-@pytest.mark.parametrize(("suffix", "space", "expected"), [("png", "", 0.2140), ("png", "raw", 0.4980), ("jpg", "", 0.2140)])
+@pytest.mark.parametrize(
+    ("suffix", "space", "expected"), [("png", "", 0.2140), ("png", "raw", 0.4980), ("jpg", "", 0.2140)]
+)
 def test_eight_bits_are_srgb_unless_raw(flat, tmp_path, suffix, space, expected):
     write_image(tmp_path / f"card.{suffix}", np.full((8, 8, 3), 127, np.uint8), oiio.UINT8)
     metadata = f' (\n        colorSpace = "{space}"\n    )' if space else ""

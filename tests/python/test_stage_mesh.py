@@ -16,7 +16,11 @@ def mesh(extra: str = "", body: str = QUADS) -> str:
 
 
 def test_topology(flat):
-    m = flat(mesh("    int[] holeIndices = [1]\n    uniform token orientation = 'leftHanded'\n    bool doubleSided = 1"))
+    m = flat(
+        mesh(
+            "    int[] holeIndices = [1]\n    uniform token orientation = 'leftHanded'\n    bool doubleSided = 1"
+        )
+    )
     m = m.prims["/M"]
     assert m["faceVertexCounts"].tolist() == [4, 3]
     assert m["faceVertexIndices"].dtype == np.int32 and m["points"].dtype == np.float32
@@ -35,7 +39,8 @@ def test_unauthored_scheme_is_catmull_clark_and_creases_are_said(flat):
 
 
 @pytest.mark.parametrize(
-    ("interpolation", "count"), [("constant", 1), ("uniform", 2), ("varying", 5), ("vertex", 5), ("faceVarying", 7)]
+    ("interpolation", "count"),
+    [("constant", 1), ("uniform", 2), ("varying", 5), ("vertex", 5), ("faceVarying", 7)],
 )
 def test_every_interpolation(flat, interpolation, count):
     values = ", ".join(f"({i}, 0)" for i in range(count))
@@ -48,7 +53,10 @@ def test_every_interpolation(flat, interpolation, count):
     result = flat(mesh(wrong))
     assert "st" not in result.prims["/M"]
     assert result.warnings == [
-        ("/M", f"primvars:st: {count + 1} values where {interpolation} interpolation needs {count}; it is ignored")
+        (
+            "/M",
+            f"primvars:st: {count + 1} values where {interpolation} interpolation needs {count}; it is ignored",
+        )
     ]
 
 
@@ -194,7 +202,12 @@ def test_damaged_scalars_become_defaults(flat):
     assert result.prims["/Nan"]["points"].max() == pytest.approx(1.0)
     assert result.prims["/Inf"]["transform"][3] == [0, 0, 0, 1]
     said = {(prim, message.split(":")[0]) for prim, message in result.warnings}
-    assert said == {("/M", "doubleSided"), ("/M", "orientation"), ("/Nan", "radius"), ("/Inf", "xformOpOrder")}
+    assert said == {
+        ("/M", "doubleSided"),
+        ("/M", "orientation"),
+        ("/Nan", "radius"),
+        ("/Inf", "xformOpOrder"),
+    }
 
 
 def test_prims_not_rendered_yet_are_named_once_per_type(flat):
