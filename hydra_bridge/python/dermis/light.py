@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from pxr import Usd, UsdGeom, UsdLux
+from pxr import Sdf, Usd, UsdGeom, UsdLux
 
 from .reading import Reader
 from .texture import flatten_texture
@@ -61,8 +61,8 @@ def shaping(prim: Usd.Prim, reader: Reader) -> Fields | None:
     )
     if not prim.HasAPI(UsdLux.ShapingAPI) and not authored:
         return None
-    ies = reader.raw(prim, "inputs:shaping:ies:file")
-    if ies is not None and ies.path:
+    ies = reader.asset(prim, "inputs:shaping:ies:file")
+    if ies:
         reader.warn(
             prim, f"inputs:shaping:ies:file: {ies.path}: IES profiles are not supported yet; it is ignored"
         )
@@ -163,5 +163,5 @@ def excludes_something(prim: Usd.Prim, link: str, reader: Reader) -> bool:
     return (
         targets(prim, f"{name}:excludes")
         or not reader.value(prim, f"{name}:includeRoot", True)
-        or (expression is not None and not expression.IsEmpty())
+        or (isinstance(expression, Sdf.PathExpression) and not expression.IsEmpty())
     )
