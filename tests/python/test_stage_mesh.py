@@ -210,6 +210,41 @@ def test_damaged_scalars_become_defaults(flat):
     }
 
 
+def test_wrong_types_cost_an_attribute_and_not_the_prim(flat):
+    body = """
+def Sphere "S" (
+    prepend apiSchemas = ["MaterialBindingAPI"]
+)
+{
+    string xformOp:translate = "far"
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+    double radius = 1e300
+    int visibility = 3
+    string primvars:displayColor = "red"
+}
+def SphereLight "L"
+{
+    string collection:lightLink:membershipExpression = "x"
+    float3 inputs:shaping:ies:file = (1, 2, 3)
+    token[] inputs:color = ["red"]
+}
+"""
+    result = flat(body)
+    assert result.prims["/S"]["transform"][3] == [0, 0, 0, 1]
+    assert result.prims["/S"]["points"].max() == pytest.approx(1.0)
+    assert "displayColor" not in result.prims["/S"]
+    assert result.prims["/L"]["color"] == [1.0, 1.0, 1.0]
+    said = {(prim, message.split(": ")[0]) for prim, message in result.warnings}
+    assert said == {
+        ("/S", "xformOpOrder"),
+        ("/S", "radius"),
+        ("/S", "visibility"),
+        ("/S", "primvars:displayColor"),
+        ("/L", "inputs:shaping:ies:file"),
+        ("/L", "inputs:color"),
+    }
+
+
 def test_prims_not_rendered_yet_are_named_once_per_type(flat):
     body = "".join(
         f'def {kind} "{kind}{i}"\n{{\n}}\n'

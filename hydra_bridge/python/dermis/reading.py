@@ -75,7 +75,8 @@ class Reader:
                 prim, f"{name}: an array of {kind} was expected, found {describe(value)}; it is ignored"
             )
             return None
-        return np.ascontiguousarray(array, dtype)
+        with np.errstate(over="ignore"):  # Too large for float32: infinity, which the core names with its index.
+            return np.ascontiguousarray(array, dtype)
 
     def tokens(self, prim: Usd.Prim, name: str) -> list[str] | None:
         """A token array, or None where there is none."""
@@ -150,8 +151,9 @@ def vector(value: Any, length: int) -> tuple[float, ...]:
 
 
 def finite(value: float) -> float:
-    if not math.isfinite(value):
-        raise ValueError(f"{value} is not finite")
+    """`value` if it is finite in single precision, which is what the core computes in."""
+    if not abs(value) <= np.finfo(np.float32).max:
+        raise ValueError(f"{value:g} is not finite in single precision")
     return value
 
 
