@@ -135,8 +135,10 @@ def test_auto_camera_of_an_empty_stage_is_finite(make_stage):
 
 
 def test_auto_camera_frames_what_is_sound(make_stage):
-    damaged = 'def Cube "Bad"\n{\n    string xformOp:translate = "x"\n' \
+    damaged = (
+        'def Cube "Bad"\n{\n    string xformOp:translate = "x"\n'
         '    uniform token[] xformOpOrder = ["xformOp:translate"]\n}\n'
+    )
     sound = 'def Cube "Good"\n{\n}\n'
     expected = auto_camera(make_stage(sound), Usd.TimeCode.Default(), ())
     assert auto_camera(make_stage(damaged + sound), Usd.TimeCode.Default(), ()) == expected

@@ -213,7 +213,7 @@ def test_render_frames_a_stage_without_camera(make_stage):
     settings = [json.loads(call[1]) for call in made[0].calls if call[0] == "set_settings"]
     assert settings == [{"camera": AUTO_CAMERA, "resolution": [960, 700]}, {"samples": 4}]
     with pytest.raises(AttributeError, match="has no 'depth'"):
-        image.depth
+        _ = image.depth
 
 
 def test_render_stops_on_interrupt(make_stage):

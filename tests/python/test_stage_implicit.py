@@ -100,7 +100,8 @@ def test_plane_is_a_two_sided_quad_along_its_axis(flat, axis, size, normal):
 
 def test_odd_sizes(flat):
     result = flat(
-        'def Sphere "Negative"\n{\n    double radius = -2\n}\ndef Sphere "Zero"\n{\n    double radius = 0\n}\n'
+        'def Sphere "Negative"\n{\n    double radius = -2\n}\n'
+        'def Sphere "Zero"\n{\n    double radius = 0\n}\n'
         'def Cone "Axis"\n{\n    uniform token axis = "W"\n}\n'
     )
     assert result.prims["/Negative"]["points"].max() == pytest.approx(2.0)

@@ -1,14 +1,15 @@
 """Instances: native, point instancers, nested either way; every placement is where USD says."""
 
-from collections import defaultdict
-
 import numpy as np
 import pytest
 from pxr import Usd, UsdGeom
 
 from dermis.stage import flatten, open_stage
 
-BALL = 'def Sphere "Ball"\n{\n    double3 xformOp:translate = (0, 1, 0)\n    uniform token[] xformOpOrder = ["xformOp:translate"]\n}\n'
+BALL = (
+    'def Sphere "Ball"\n{\n    double3 xformOp:translate = (0, 1, 0)\n'
+    '    uniform token[] xformOpOrder = ["xformOp:translate"]\n}\n'
+)
 
 
 def world_matrices(flat) -> dict[str, np.ndarray]:
@@ -50,7 +51,8 @@ def instance(name: str, of: str, x: float, body: str = "") -> str:
 
 NESTED = (
     f'class Xform "Leaf"\n{{\n{BALL}}}\n'
-    f'class Xform "Twig"\n{{\n{instance("A", "/Leaf", 1)}{instance("B", "/Leaf", 2)}def Cube "Knot"\n{{\n}}\n}}\n'
+    f'class Xform "Twig"\n{{\n{instance("A", "/Leaf", 1)}{instance("B", "/Leaf", 2)}'
+    f'def Cube "Knot"\n{{\n}}\n}}\n'
     + xform("Group", 0.5, instance("T1", "/Twig", 10) + instance("T2", "/Twig", 20))
     + instance("T3", "/Twig", 30)
     + instance("L", "/Leaf", 40)

@@ -98,7 +98,8 @@ def test_damaged_values_become_defaults(flat):
     result = flat(
         light(
             "DiskLight",
-            "    float inputs:intensity = nan\n    float inputs:radius = inf\n    string inputs:exposure = 'x'",
+            "    float inputs:intensity = nan\n    float inputs:radius = inf\n"
+            "    string inputs:exposure = 'x'",
         )
     )
     found = result.prims["/L"]
@@ -134,7 +135,10 @@ def test_what_is_not_rendered_is_said_once(flat, kind, body, apis, word):
 
 
 def test_defaults_of_unsupported_attributes_say_nothing(flat):
-    body = "    bool inputs:shadow:enable = 1\n    float inputs:diffuse = 1\n    bool collection:lightLink:includeRoot = 1"
+    body = (
+        "    bool inputs:shadow:enable = 1\n    float inputs:diffuse = 1\n"
+        "    bool collection:lightLink:includeRoot = 1"
+    )
     assert flat(light("RectLight", body, '"ShadowAPI"')).warnings == []
 
 

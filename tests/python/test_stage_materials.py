@@ -181,7 +181,10 @@ def test_what_is_not_rendered_is_said(flat, shader_id, text, word):
 
 
 def test_unrendered_inputs_at_their_default_say_nothing(flat):
-    inputs = "        float inputs:sheen = 0\n        color3f inputs:sheen_color = (1, 0, 0)\n        bool inputs:thin_walled = 0"
+    inputs = (
+        "        float inputs:sheen = 0\n        color3f inputs:sheen_color = (1, 0, 0)\n"
+        "        bool inputs:thin_walled = 0"
+    )
     assert flat(material("ND_standard_surface_surfaceshader", inputs) + ball()).warnings == []
 
 
@@ -192,7 +195,8 @@ def test_only_bound_materials_are_emitted(flat):
 
 def group(body: str, strength: str) -> str:
     return (
-        'def Xform "G" (\n    prepend apiSchemas = ["MaterialBindingAPI"]\n)\n{\n    rel material:binding = </Weak> (\n'
+        'def Xform "G" (\n    prepend apiSchemas = ["MaterialBindingAPI"]\n)\n{\n'
+        "    rel material:binding = </Weak> (\n"
         f'        bindMaterialAs = "{strength}"\n    )\n{body}}}\n'
     )
 
@@ -231,7 +235,8 @@ def test_geometry_subsets(flat):
         "        int[] indices = [1]\n        rel material:binding = </M>\n    }\n"
     )
     mesh = (
-        'def Mesh "X"\n{\n    int[] faceVertexCounts = [3, 3]\n    int[] faceVertexIndices = [0, 1, 2, 2, 1, 3]\n'
+        'def Mesh "X"\n{\n    int[] faceVertexCounts = [3, 3]\n'
+        "    int[] faceVertexIndices = [0, 1, 2, 2, 1, 3]\n"
         "    point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0)]\n"
         f"{subset % ('Skin', 'materialBind')}{subset % ('Other', 'parts')}}}\n"
     )

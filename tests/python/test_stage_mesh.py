@@ -18,7 +18,8 @@ def mesh(extra: str = "", body: str = QUADS) -> str:
 def test_topology(flat):
     m = flat(
         mesh(
-            "    int[] holeIndices = [1]\n    uniform token orientation = 'leftHanded'\n    bool doubleSided = 1"
+            "    int[] holeIndices = [1]\n    uniform token orientation = 'leftHanded'\n"
+            "    bool doubleSided = 1"
         )
     )
     m = m.prims["/M"]
@@ -51,18 +52,15 @@ def test_every_interpolation(flat, interpolation, count):
     assert "indices" not in st
     wrong = primvar.replace("(0, 0)", "(0, 0), (9, 9)")
     result = flat(mesh(wrong))
+    problem = f"{count + 1} values where {interpolation} interpolation needs {count}"
     assert "st" not in result.prims["/M"]
-    assert result.warnings == [
-        (
-            "/M",
-            f"primvars:st: {count + 1} values where {interpolation} interpolation needs {count}; it is ignored",
-        )
-    ]
+    assert result.warnings == [("/M", f"primvars:st: {problem}; it is ignored")]
 
 
 def test_indexed_primvar_keeps_its_indices(flat):
     text = (
-        '    color3f[] primvars:displayColor = [(1, 0, 0), (0, 1, 0)] (\n        interpolation = "uniform"\n    )\n'
+        "    color3f[] primvars:displayColor = [(1, 0, 0), (0, 1, 0)] (\n"
+        '        interpolation = "uniform"\n    )\n'
         "    int[] primvars:displayColor:indices = [1, 0]"
     )
     color = flat(mesh(text)).prims["/M"]["displayColor"]
@@ -100,7 +98,7 @@ def Xform "A"
         }
     }
 }
-""" % (QUADS, QUADS, QUADS)
+""".replace("%s", QUADS)
     prims = flat(body).prims
     assert prims["/A/Plain"]["displayColor"]["values"].tolist() == [[0.5, 0.25, 0.0]]
     assert prims["/A/Plain"]["displayOpacity"]["values"].tolist() == [0.5]

@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 from pxr import Sdf, Tf, Usd, Vt
 
 
+FLOAT32_MAX = float(np.finfo(np.float32).max)
+
+
 class Report:
     """Warnings of one flattening, in the order met; the same words about the same prim are kept once."""
 
@@ -75,7 +78,8 @@ class Reader:
                 prim, f"{name}: an array of {kind} was expected, found {describe(value)}; it is ignored"
             )
             return None
-        with np.errstate(over="ignore"):  # Too large for float32: infinity, which the core names with its index.
+        # What is too large for float32 becomes infinity, which the core's validation names.
+        with np.errstate(over="ignore"):
             return np.ascontiguousarray(array, dtype)
 
     def tokens(self, prim: Usd.Prim, name: str) -> list[str] | None:
@@ -95,7 +99,8 @@ class Reader:
         return None
 
     def transform(self, prim: Usd.Prim, compute: Callable[[Usd.Prim], Any], damaged: Any) -> Any:
-        """What an XformCache computes for a prim; `damaged` where its xformOps hold values of a wrong type."""
+        """What an XformCache computes for a prim; `damaged` where its xformOps hold values of a wrong
+        type."""
         try:
             return compute(prim)
         except Tf.ErrorException as error:
@@ -152,7 +157,7 @@ def vector(value: Any, length: int) -> tuple[float, ...]:
 
 def finite(value: float) -> float:
     """`value` if it is finite in single precision, which is what the core computes in."""
-    if not abs(value) <= np.finfo(np.float32).max:
+    if not abs(value) <= FLOAT32_MAX:
         raise ValueError(f"{value:g} is not finite in single precision")
     return value
 
