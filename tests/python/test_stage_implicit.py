@@ -43,7 +43,11 @@ def triangles(mesh):
 @pytest.mark.parametrize("shape", SHAPES, ids=lambda text: " ".join(text.split()))
 def test_closed_outward_and_of_the_right_size(flat, shape, axis):
     volume, size = SHAPES[shape]
-    text = shape if shape.startswith(("Sphere", "Cube")) else shape[:-1] + f'    uniform token axis = "{axis}"\n}}'
+    text = (
+        shape
+        if shape.startswith(("Sphere", "Cube"))
+        else shape[:-1] + f'    uniform token axis = "{axis}"\n}}'
+    )
     result = flat(f"def {text}\n")
     assert result.warnings == []
     mesh = result.prims["/S"]
@@ -79,7 +83,9 @@ def test_sphere_normals_are_exact(flat):
     assert normals == pytest.approx(mesh["points"][mesh["faceVertexIndices"]] / 2, abs=1e-6)
 
 
-@pytest.mark.parametrize(("axis", "size", "normal"), [("X", [0, 3, 2], 0), ("Y", [2, 0, 3], 1), ("Z", [2, 3, 0], 2)])
+@pytest.mark.parametrize(
+    ("axis", "size", "normal"), [("X", [0, 3, 2], 0), ("Y", [2, 0, 3], 1), ("Z", [2, 3, 0], 2)]
+)
 def test_plane_is_a_two_sided_quad_along_its_axis(flat, axis, size, normal):
     text = f'    uniform token axis = "{axis}"\n    double width = 2\n    double length = 3\n'
     mesh = flat(f'def Plane "P"\n{{\n{text}}}\n').prims["/P"]
@@ -87,12 +93,15 @@ def test_plane_is_a_two_sided_quad_along_its_axis(flat, axis, size, normal):
     assert np.ptp(mesh["points"], axis=0).tolist() == size
     assert np.argmax(np.cross(b - a, c - a)) == normal and np.cross(b - a, c - a)[normal] > 0
     assert mesh["doubleSided"] is True
-    assert flat(f'def Plane "P"\n{{\n{text}    bool doubleSided = 0\n}}\n').prims["/P"]["doubleSided"] is False
+    assert (
+        flat(f'def Plane "P"\n{{\n{text}    bool doubleSided = 0\n}}\n').prims["/P"]["doubleSided"] is False
+    )
 
 
 def test_odd_sizes(flat):
     result = flat(
-        'def Sphere "Negative"\n{\n    double radius = -2\n}\ndef Sphere "Zero"\n{\n    double radius = 0\n}\n'
+        'def Sphere "Negative"\n{\n    double radius = -2\n}\n'
+        'def Sphere "Zero"\n{\n    double radius = 0\n}\n'
         'def Cone "Axis"\n{\n    uniform token axis = "W"\n}\n'
     )
     assert result.prims["/Negative"]["points"].max() == pytest.approx(2.0)

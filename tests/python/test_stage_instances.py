@@ -1,14 +1,15 @@
 """Instances: native, point instancers, nested either way; every placement is where USD says."""
 
-from collections import defaultdict
-
 import numpy as np
 import pytest
 from pxr import Usd, UsdGeom
 
 from dermis.stage import flatten, open_stage
 
-BALL = 'def Sphere "Ball"\n{\n    double3 xformOp:translate = (0, 1, 0)\n    uniform token[] xformOpOrder = ["xformOp:translate"]\n}\n'
+BALL = (
+    'def Sphere "Ball"\n{\n    double3 xformOp:translate = (0, 1, 0)\n'
+    '    uniform token[] xformOpOrder = ["xformOp:translate"]\n}\n'
+)
 
 
 def world_matrices(flat) -> dict[str, np.ndarray]:
@@ -39,7 +40,7 @@ def assert_places_like_usd(stage: Usd.Stage) -> None:
 def xform(name: str, x: float, body: str = "", metadata: str = "") -> str:
     return (
         f'def Xform "{name}" (\n{metadata}\n)\n{{\n    double3 xformOp:translate = ({x}, 0, 0)\n'
-        f'    float3 xformOp:rotateXYZ = (0, {10 * x}, 0)\n'
+        f"    float3 xformOp:rotateXYZ = (0, {10 * x}, 0)\n"
         f'    uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateXYZ"]\n{body}\n}}\n'
     )
 
@@ -50,7 +51,8 @@ def instance(name: str, of: str, x: float, body: str = "") -> str:
 
 NESTED = (
     f'class Xform "Leaf"\n{{\n{BALL}}}\n'
-    f'class Xform "Twig"\n{{\n{instance("A", "/Leaf", 1)}{instance("B", "/Leaf", 2)}def Cube "Knot"\n{{\n}}\n}}\n'
+    f'class Xform "Twig"\n{{\n{instance("A", "/Leaf", 1)}{instance("B", "/Leaf", 2)}'
+    f'def Cube "Knot"\n{{\n}}\n}}\n'
     + xform("Group", 0.5, instance("T1", "/Twig", 10) + instance("T2", "/Twig", 20))
     + instance("T3", "/Twig", 30)
     + instance("L", "/Leaf", 40)
@@ -88,11 +90,15 @@ def bind(target: str, strength: str = "") -> str:
 
 def test_one_prototype_copy_per_distinct_inherited_binding(flat):
     body = f'class Xform "Leaf"\n{{\n{BALL}}}\n{MATERIALS}' + "".join(
-        instance(f"I{i}", "/Leaf", i, bind(target)) for i, target in enumerate(["/Red", "/Blue", "/Red", "/Blue", "/Red"])
+        instance(f"I{i}", "/Leaf", i, bind(target))
+        for i, target in enumerate(["/Red", "/Blue", "/Red", "/Blue", "/Red"])
     )
     result = flat(body)
-    by_material = {prim["material"]: len(result.prims[prim["instancer"]]["transforms"])
-                   for prim in result.prims.values() if prim["type"] == "Mesh"}
+    by_material = {
+        prim["material"]: len(result.prims[prim["instancer"]]["transforms"])
+        for prim in result.prims.values()
+        if prim["type"] == "Mesh"
+    }
     assert by_material == {"/Red": 3, "/Blue": 2}
 
 
@@ -100,7 +106,10 @@ def test_a_binding_that_a_stronger_one_overrules_splits_nothing(flat):
     body = f'class Xform "Leaf"\n{{\n{BALL}}}\n{MATERIALS}' + xform(
         "Strong",
         0,
-        bind("/Red", "strongerThanDescendants") + "\n" + instance("A", "/Leaf", 1, bind("/Blue")) + instance("B", "/Leaf", 2),
+        bind("/Red", "strongerThanDescendants")
+        + "\n"
+        + instance("A", "/Leaf", 1, bind("/Blue"))
+        + instance("B", "/Leaf", 2),
     )
     result = flat(body)
     meshes = [prim for prim in result.prims.values() if prim["type"] == "Mesh"]
@@ -118,19 +127,26 @@ def test_collection_binding_of_one_instance(flat):
         + "}\n"
     )
     result = flat(body)
-    by_material = {prim["material"]: len(result.prims[prim["instancer"]]["transforms"])
-                   for prim in result.prims.values() if prim["type"] == "Mesh"}
+    by_material = {
+        prim["material"]: len(result.prims[prim["instancer"]]["transforms"])
+        for prim in result.prims.values()
+        if prim["type"] == "Mesh"
+    }
     assert by_material == {"/Red": 2, "/Blue": 1}
 
 
 def test_inherited_display_color_splits_instances(flat):
     colors = ["(1, 0, 0)", "(0, 1, 0)", "(1, 0, 0)"]
     body = f'class Xform "Leaf"\n{{\n{BALL}}}\n' + "".join(
-        instance(f"I{i}", "/Leaf", i, f"    color3f[] primvars:displayColor = [{c}]") for i, c in enumerate(colors)
+        instance(f"I{i}", "/Leaf", i, f"    color3f[] primvars:displayColor = [{c}]")
+        for i, c in enumerate(colors)
     )
     result = flat(body)
-    found = {tuple(prim["displayColor"]["values"][0]): len(result.prims[prim["instancer"]]["transforms"])
-             for prim in result.prims.values() if prim["type"] == "Mesh"}
+    found = {
+        tuple(prim["displayColor"]["values"][0]): len(result.prims[prim["instancer"]]["transforms"])
+        for prim in result.prims.values()
+        if prim["type"] == "Mesh"
+    }
     assert found == {(1.0, 0.0, 0.0): 2, (0.0, 1.0, 0.0): 1}
 
 
@@ -138,7 +154,8 @@ def test_material_inside_the_prototype_is_emitted_once(flat):
     body = (
         'class Xform "Leaf"\n{\n    def Material "Mat"\n    {\n    }\n'
         '    def Sphere "Ball"\n    {\n        rel material:binding = </Leaf/Mat>\n    }\n}\n'
-        + instance("B", "/Leaf", 1) + instance("A", "/Leaf", 2)
+        + instance("B", "/Leaf", 1)
+        + instance("A", "/Leaf", 2)
     )
     prims = flat(body).prims
     assert [k for k, v in prims.items() if v["type"] == "Material"] == ["/A/Mat"]
@@ -189,9 +206,13 @@ def test_velocities_move_instances_between_samples(make_stage):
         "    vector3f[] velocities.timeSamples = {\n        1: [(24, 0, 0), (0, 24, 0), (0, 0, 0)],\n    }\n"
         "    int[] protoIndices.timeSamples = {\n        1: [0, 0, 0],\n    }\n"
     )
-    body = points(BALL, extra).replace("    int[] protoIndices = [0, 0, 0]\n", "").replace(
-        "    point3f[] positions = [(0, 0, 0), (1, 0, 0), (2, 0, 0)]\n",
-        "    point3f[] positions.timeSamples = {\n        1: [(0, 0, 0), (1, 0, 0), (2, 0, 0)],\n    }\n",
+    body = (
+        points(BALL, extra)
+        .replace("    int[] protoIndices = [0, 0, 0]\n", "")
+        .replace(
+            "    point3f[] positions = [(0, 0, 0), (1, 0, 0), (2, 0, 0)]\n",
+            "    point3f[] positions.timeSamples = {\n        1: [(0, 0, 0), (1, 0, 0), (2, 0, 0)],\n    }\n",
+        )
     )
     (found,) = world_matrices(flatten(make_stage(body), 1.5)).values()
     assert found[:, 3, :3] == pytest.approx(np.array([[0.5, 1, 5], [1, 1.5, 5], [2, 1, 5]]))
@@ -261,13 +282,15 @@ def test_reset_xform_stack_inside_an_instance(make_stage):
 
 
 def test_lights_in_instances_are_lights_each(flat):
-    lamp = 'class Xform "Lamp"\n{\n    def SphereLight "Bulb"\n    {\n    }\n' \
+    lamp = (
+        'class Xform "Lamp"\n{\n    def SphereLight "Bulb"\n    {\n    }\n'
         '    def Sphere "Glow" (\n        prepend apiSchemas = ["MeshLightAPI"]\n    )\n    {\n    }\n}\n'
+    )
     prims = flat(lamp + instance("A", "/Lamp", 1) + instance("B", "/Lamp", 2)).prims
     assert [prims[f"/A/Bulb[{i}]"]["transform"][3][0] for i in range(2)] == [1, 2]
     for i in range(2):
         light, mesh = prims[f"/A/Glow.light[{i}]"], prims[f"/A/Glow[{i}].mesh"]
-        assert light["shape"] == {"kind": "Mesh", "mesh": f"/A/Glow[{i}].mesh"}
+        assert light["shape"] == {"kind": "mesh", "mesh": f"/A/Glow[{i}].mesh"}
         assert light["transform"] == mesh["transform"] and mesh["instancer"] == ""
     assert not any(prim["type"] == "Instancer" for prim in prims.values())
 

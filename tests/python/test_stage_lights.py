@@ -22,13 +22,13 @@ def write_image(path, pixels, kind) -> None:
 
 
 DEFAULTS = {
-    "RectLight": {"kind": "Rect", "width": 1.0, "height": 1.0, "texture": ""},
-    "DiskLight": {"kind": "Disk", "radius": 0.5},
-    "SphereLight": {"kind": "Sphere", "radius": 0.5},
-    "CylinderLight": {"kind": "Cylinder", "length": 1.0, "radius": 0.5},
-    "DistantLight": {"kind": "Distant", "angle": pytest.approx(0.53)},
-    "DomeLight": {"kind": "Dome", "texture": "", "poleAxis": "Y"},
-    "DomeLight_1": {"kind": "Dome", "texture": "", "poleAxis": "Y"},
+    "RectLight": {"kind": "rect", "width": 1.0, "height": 1.0, "texture": ""},
+    "DiskLight": {"kind": "disk", "radius": 0.5},
+    "SphereLight": {"kind": "sphere", "radius": 0.5},
+    "CylinderLight": {"kind": "cylinder", "length": 1.0, "radius": 0.5},
+    "DistantLight": {"kind": "distant", "angle": pytest.approx(0.53)},
+    "DomeLight": {"kind": "dome", "texture": "", "poleAxis": "Y"},
+    "DomeLight_1": {"kind": "dome", "texture": "", "poleAxis": "Y"},
 }
 
 
@@ -73,10 +73,17 @@ def test_shaping_only_where_applied_or_authored(flat):
     assert authored["coneAngle"] == 20.0
 
 
-@pytest.mark.parametrize(("axis", "up", "pole"), [("scene", "Y", "Y"), ("scene", "Z", "Z"), ("Y", "Z", "Y"), ("Z", "Y", "Z")])
+@pytest.mark.parametrize(
+    ("axis", "up", "pole"), [("scene", "Y", "Y"), ("scene", "Z", "Z"), ("Y", "Z", "Y"), ("Z", "Y", "Z")]
+)
 def test_pole_axis(flat, axis, up, pole):
     metadata = f'    upAxis = "{up}"'
-    assert flat(light("DomeLight_1", f'    token poleAxis = "{axis}"'), metadata=metadata).prims["/L"]["shape"]["poleAxis"] == pole
+    assert (
+        flat(light("DomeLight_1", f'    token poleAxis = "{axis}"'), metadata=metadata).prims["/L"]["shape"][
+            "poleAxis"
+        ]
+        == pole
+    )
     assert flat(light("DomeLight"), metadata=metadata).prims["/L"]["shape"]["poleAxis"] == "Y"
 
 
@@ -88,10 +95,20 @@ def test_dome_visibility_option(flat):
 
 
 def test_damaged_values_become_defaults(flat):
-    result = flat(light("DiskLight", "    float inputs:intensity = nan\n    float inputs:radius = inf\n    string inputs:exposure = 'x'"))
+    result = flat(
+        light(
+            "DiskLight",
+            "    float inputs:intensity = nan\n    float inputs:radius = inf\n"
+            "    string inputs:exposure = 'x'",
+        )
+    )
     found = result.prims["/L"]
     assert (found["intensity"], found["exposure"], found["shape"]["radius"]) == (1.0, 0.0, 0.5)
-    assert sorted(message.split(":")[1] for _, message in result.warnings) == ["exposure", "intensity", "radius"]
+    assert sorted(message.split(":")[1] for _, message in result.warnings) == [
+        "exposure",
+        "intensity",
+        "radius",
+    ]
 
 
 @pytest.mark.parametrize(
@@ -118,14 +135,17 @@ def test_what_is_not_rendered_is_said_once(flat, kind, body, apis, word):
 
 
 def test_defaults_of_unsupported_attributes_say_nothing(flat):
-    body = "    bool inputs:shadow:enable = 1\n    float inputs:diffuse = 1\n    bool collection:lightLink:includeRoot = 1"
+    body = (
+        "    bool inputs:shadow:enable = 1\n    float inputs:diffuse = 1\n"
+        "    bool collection:lightLink:includeRoot = 1"
+    )
     assert flat(light("RectLight", body, '"ShadowAPI"')).warnings == []
 
 
 def test_mesh_light_is_a_mesh_too(flat):
     prims = flat(light("Sphere", "    float inputs:intensity = 4", '"MeshLightAPI"')).prims
     assert prims["/L"]["type"] == "Mesh"
-    assert prims["/L.light"]["shape"] == {"kind": "Mesh", "mesh": "/L"}
+    assert prims["/L.light"]["shape"] == {"kind": "mesh", "mesh": "/L"}
     assert prims["/L.light"]["intensity"] == 4.0
 
 
@@ -141,7 +161,9 @@ def test_float_texture_is_linear_and_upright(flat, tmp_path):
         assert texture["pixels"].dtype == np.float32 and result.warnings == []
 
 
-@pytest.mark.parametrize(("suffix", "space", "expected"), [("png", "", 0.2140), ("png", "raw", 0.4980), ("jpg", "", 0.2140)])
+@pytest.mark.parametrize(
+    ("suffix", "space", "expected"), [("png", "", 0.2140), ("png", "raw", 0.4980), ("jpg", "", 0.2140)]
+)
 def test_eight_bits_are_srgb_unless_raw(flat, tmp_path, suffix, space, expected):
     write_image(tmp_path / f"card.{suffix}", np.full((8, 8, 3), 127, np.uint8), oiio.UINT8)
     metadata = f' (\n        colorSpace = "{space}"\n    )' if space else ""
@@ -197,4 +219,4 @@ def test_our_stage(usd_scenes):
     flat_stage = flatten(open_stage(usd_scenes / "lights.usda"))
     assert flat_stage.warnings == []
     kinds = {prim["shape"]["kind"] for prim in flat_stage.prims.values() if prim["type"] == "Light"}
-    assert kinds == {"Rect", "Disk", "Sphere", "Cylinder", "Mesh", "Distant", "Dome"}
+    assert kinds == {"rect", "disk", "sphere", "cylinder", "mesh", "distant", "dome"}

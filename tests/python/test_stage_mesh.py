@@ -16,7 +16,12 @@ def mesh(extra: str = "", body: str = QUADS) -> str:
 
 
 def test_topology(flat):
-    m = flat(mesh("    int[] holeIndices = [1]\n    uniform token orientation = 'leftHanded'\n    bool doubleSided = 1"))
+    m = flat(
+        mesh(
+            "    int[] holeIndices = [1]\n    uniform token orientation = 'leftHanded'\n"
+            "    bool doubleSided = 1"
+        )
+    )
     m = m.prims["/M"]
     assert m["faceVertexCounts"].tolist() == [4, 3]
     assert m["faceVertexIndices"].dtype == np.int32 and m["points"].dtype == np.float32
@@ -35,7 +40,8 @@ def test_unauthored_scheme_is_catmull_clark_and_creases_are_said(flat):
 
 
 @pytest.mark.parametrize(
-    ("interpolation", "count"), [("constant", 1), ("uniform", 2), ("varying", 5), ("vertex", 5), ("faceVarying", 7)]
+    ("interpolation", "count"),
+    [("constant", 1), ("uniform", 2), ("varying", 5), ("vertex", 5), ("faceVarying", 7)],
 )
 def test_every_interpolation(flat, interpolation, count):
     values = ", ".join(f"({i}, 0)" for i in range(count))
@@ -46,15 +52,15 @@ def test_every_interpolation(flat, interpolation, count):
     assert "indices" not in st
     wrong = primvar.replace("(0, 0)", "(0, 0), (9, 9)")
     result = flat(mesh(wrong))
+    problem = f"{count + 1} values where {interpolation} interpolation needs {count}"
     assert "st" not in result.prims["/M"]
-    assert result.warnings == [
-        ("/M", f"primvars:st: {count + 1} values where {interpolation} interpolation needs {count}; it is ignored")
-    ]
+    assert result.warnings == [("/M", f"primvars:st: {problem}; it is ignored")]
 
 
 def test_indexed_primvar_keeps_its_indices(flat):
     text = (
-        '    color3f[] primvars:displayColor = [(1, 0, 0), (0, 1, 0)] (\n        interpolation = "uniform"\n    )\n'
+        "    color3f[] primvars:displayColor = [(1, 0, 0), (0, 1, 0)] (\n"
+        '        interpolation = "uniform"\n    )\n'
         "    int[] primvars:displayColor:indices = [1, 0]"
     )
     color = flat(mesh(text)).prims["/M"]["displayColor"]
@@ -92,7 +98,7 @@ def Xform "A"
         }
     }
 }
-""" % (QUADS, QUADS, QUADS)
+""".replace("%s", QUADS)
     prims = flat(body).prims
     assert prims["/A/Plain"]["displayColor"]["values"].tolist() == [[0.5, 0.25, 0.0]]
     assert prims["/A/Plain"]["displayOpacity"]["values"].tolist() == [0.5]
@@ -194,7 +200,47 @@ def test_damaged_scalars_become_defaults(flat):
     assert result.prims["/Nan"]["points"].max() == pytest.approx(1.0)
     assert result.prims["/Inf"]["transform"][3] == [0, 0, 0, 1]
     said = {(prim, message.split(":")[0]) for prim, message in result.warnings}
-    assert said == {("/M", "doubleSided"), ("/M", "orientation"), ("/Nan", "radius"), ("/Inf", "xformOpOrder")}
+    assert said == {
+        ("/M", "doubleSided"),
+        ("/M", "orientation"),
+        ("/Nan", "radius"),
+        ("/Inf", "xformOpOrder"),
+    }
+
+
+def test_wrong_types_cost_an_attribute_and_not_the_prim(flat):
+    body = """
+def Sphere "S" (
+    prepend apiSchemas = ["MaterialBindingAPI"]
+)
+{
+    string xformOp:translate = "far"
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+    double radius = 1e300
+    int visibility = 3
+    string primvars:displayColor = "red"
+}
+def SphereLight "L"
+{
+    string collection:lightLink:membershipExpression = "x"
+    float3 inputs:shaping:ies:file = (1, 2, 3)
+    token[] inputs:color = ["red"]
+}
+"""
+    result = flat(body)
+    assert result.prims["/S"]["transform"][3] == [0, 0, 0, 1]
+    assert result.prims["/S"]["points"].max() == pytest.approx(1.0)
+    assert "displayColor" not in result.prims["/S"]
+    assert result.prims["/L"]["color"] == [1.0, 1.0, 1.0]
+    said = {(prim, message.split(": ")[0]) for prim, message in result.warnings}
+    assert said == {
+        ("/S", "xformOpOrder"),
+        ("/S", "radius"),
+        ("/S", "visibility"),
+        ("/S", "primvars:displayColor"),
+        ("/L", "inputs:shaping:ies:file"),
+        ("/L", "inputs:color"),
+    }
 
 
 def test_prims_not_rendered_yet_are_named_once_per_type(flat):

@@ -113,7 +113,9 @@ def Mesh "M"
 
 def test_encode_replaces_arrays_and_refuses_what_json_cannot_say():
     points = np.zeros((3, 3), np.float32)
-    text, arrays = encode({"type": "Mesh", "points": points, "geomSubsets": [{"indices": np.array([0], np.int32)}]})
+    text, arrays = encode(
+        {"type": "Mesh", "points": points, "geomSubsets": [{"indices": np.array([0], np.int32)}]}
+    )
     assert text == '{"type": "Mesh", "points": {"array": 0}, "geomSubsets": [{"indices": {"array": 1}}]}'
     assert arrays[0] is points or np.shares_memory(arrays[0], points)
     with pytest.raises(ValueError, match="[Oo]ut of range"):

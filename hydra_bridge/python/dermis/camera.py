@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-from pxr import Gf, Usd, UsdGeom, UsdUtils
+from pxr import Gf, Tf, Usd, UsdGeom, UsdUtils
 
 from .reading import Reader, Report, finite
 
@@ -69,8 +69,9 @@ def find_camera(stage: Usd.Stage, name_or_path: str = "") -> UsdGeom.Camera | No
 
 def camera_fields(camera: UsdGeom.Camera, time: Usd.TimeCode, report: Report | None = None) -> dict[str, Any]:
     """A camera of the stage as `flat::Camera` by itself, for a camera that the walk does not reach."""
-    matrix = UsdGeom.XformCache(time).GetLocalToWorldTransform(camera.GetPrim())
-    return flatten_camera(camera.GetPrim(), Reader(time, report or Report()), matrix)
+    prim, reader = camera.GetPrim(), Reader(time, report or Report())
+    compute = UsdGeom.XformCache(time).GetLocalToWorldTransform
+    return flatten_camera(prim, reader, reader.transform(prim, compute, Gf.Matrix4d(1.0)))
 
 
 def auto_camera(
@@ -80,11 +81,9 @@ def auto_camera(
 
     `aspect` (width over height) changes the vertical aperture only, as usdrecord frames by width.
     """
-    bound = UsdGeom.BBoxCache(time, sorted({"default", *purposes}), useExtentsHint=True)
-    box = bound.ComputeWorldBound(stage.GetPseudoRoot())
-    bounds = box.ComputeAlignedRange()
+    bounds = world_bounds(stage, UsdGeom.BBoxCache(time, sorted({"default", *purposes}), useExtentsHint=True))
     center, size = (
-        (Gf.Vec3d(0.0), Gf.Vec3d(0.0)) if bounds.IsEmpty() else (box.ComputeCentroid(), bounds.GetSize())
+        (Gf.Vec3d(0.0), Gf.Vec3d(0.0)) if bounds.IsEmpty() else (bounds.GetMidpoint(), bounds.GetSize())
     )
     camera = Gf.Camera()
     z_up = UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z
@@ -101,6 +100,29 @@ def auto_camera(
         "focusDistance": 0.0,
         "exposureScale": 1.0,
     }
+
+
+def world_bounds(stage: Usd.Stage, cache: UsdGeom.BBoxCache) -> Gf.Range3d:
+    """Of the whole stage; where damage spoils that, of the prims that are sound. Empty for an empty stage."""
+    whole = sound_bounds(stage.GetPseudoRoot(), cache)
+    if whole is not None:
+        return whole
+    bounds = Gf.Range3d()
+    for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
+        if prim.IsA(UsdGeom.Gprim) and (part := sound_bounds(prim, cache)) is not None:
+            bounds.UnionWith(part)
+    return bounds
+
+
+def sound_bounds(prim: Usd.Prim, cache: UsdGeom.BBoxCache) -> Gf.Range3d | None:
+    """World bounds of a prim; None where they are not finite or cannot be computed."""
+    try:
+        bounds = cache.ComputeWorldBound(prim).ComputeAlignedRange()
+    except Tf.ErrorException:
+        return None
+    ends = (*bounds.min, *bounds.max)
+    # USD's empty range goes from the largest float to its negative: no infinity there.
+    return bounds if all(math.isfinite(x) for x in ends) else None
 
 
 def framing(camera: Gf.Camera, center: Gf.Vec3d, size: Gf.Vec3d, z_up: bool) -> Gf.Matrix4d:

@@ -38,7 +38,7 @@ def instance_matrices(prim: Usd.Prim, positions: NDArray, reader: Reader) -> Mat
     orientations = optional_array(prim, ("orientationsf", "orientations"), 4, len(positions), reader)
     matrices = np.tile(np.eye(4), (len(positions), 1, 1))
     if orientations is not None:
-        matrices[:, :3, :3] = rotations(orientations.astype(np.float64))
+        set_rotations(matrices, orientations.astype(np.float64))
     if scales is not None:
         matrices[:, :3, :3] *= scales[:, :, None]
     matrices[:, 3, :3] = positions + drift(prim, len(positions), reader)
@@ -59,15 +59,17 @@ def optional_array(
     return None
 
 
-def rotations(quaternions: NDArray) -> NDArray:
-    """(n, 4) as (i, j, k, real) -> (n, 3, 3) for row vectors; not normalised, as GfMatrix4d.SetRotate."""
+def set_rotations(matrices: Matrices, quaternions: NDArray) -> None:
+    """Quaternions (n, 4) as (i, j, k, real), not normalised, as GfMatrix4d.SetRotate takes them."""
     x, y, z, w = quaternions.T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)],
-        [2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w)],
-        [2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), 2, 0)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)),
+        (2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w)),
+        (2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)),
+    )
+    for i, row in enumerate(rows):
+        for j, values in enumerate(row):
+            matrices[:, i, j] = values
 
 
 def drift(prim: Usd.Prim, count: int, reader: Reader) -> NDArray | float:
@@ -117,6 +119,8 @@ def nested(inner: Matrices, outer: Matrices) -> Matrices:
     """Every inner placement in every outer one: (m, 4, 4), (n, 4, 4) -> (n * m, 4, 4)."""
     if len(outer) == 1 and np.array_equal(outer[0], np.eye(4)):
         return inner
+    if len(inner) == 1 and np.array_equal(inner[0], np.eye(4)):
+        return outer
     return np.matmul(inner[None], outer[:, None]).reshape(-1, 4, 4)
 
 

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from pxr import Usd, UsdGeom, UsdLux
+from pxr import Sdf, Usd, UsdGeom, UsdLux
 
 from .reading import Reader
 from .texture import flatten_texture
@@ -61,8 +61,8 @@ def shaping(prim: Usd.Prim, reader: Reader) -> Fields | None:
     )
     if not prim.HasAPI(UsdLux.ShapingAPI) and not authored:
         return None
-    ies = reader.raw(prim, "inputs:shaping:ies:file")
-    if ies is not None and ies.path:
+    ies = reader.asset(prim, "inputs:shaping:ies:file")
+    if ies:
         reader.warn(
             prim, f"inputs:shaping:ies:file: {ies.path}: IES profiles are not supported yet; it is ignored"
         )
@@ -84,26 +84,26 @@ def shape(prim: Usd.Prim, kind: str, reader: Reader, textures: dict[str, Fields]
         case "RectLight":
             texture = flatten_texture(prim, "inputs:texture:file", reader, textures)
             return {
-                "kind": "Rect",
+                "kind": "rect",
                 "width": number("width", 1.0),
                 "height": number("height", 1.0),
                 "texture": texture,
             }
         case "DiskLight":
-            return {"kind": "Disk", "radius": number("radius", 0.5)}
+            return {"kind": "disk", "radius": number("radius", 0.5)}
         case "SphereLight":
-            return {"kind": "Sphere", "radius": number("radius", 0.5)}
+            return {"kind": "sphere", "radius": number("radius", 0.5)}
         case "CylinderLight":
-            return {"kind": "Cylinder", "length": number("length", 1.0), "radius": number("radius", 0.5)}
+            return {"kind": "cylinder", "length": number("length", 1.0), "radius": number("radius", 0.5)}
         case "DistantLight":
-            return {"kind": "Distant", "angle": number("angle", 0.53)}
+            return {"kind": "distant", "angle": number("angle", 0.53)}
         case "DomeLight" | "DomeLight_1":
             return {
-                "kind": "Dome",
+                "kind": "dome",
                 "texture": dome_texture(prim, reader, textures),
                 "poleAxis": pole(prim, kind, reader),
             }
-    return {"kind": "Mesh", "mesh": ""}
+    return {"kind": "mesh", "mesh": ""}
 
 
 def dome_texture(prim: Usd.Prim, reader: Reader, textures: dict[str, Fields]) -> str:
@@ -163,5 +163,5 @@ def excludes_something(prim: Usd.Prim, link: str, reader: Reader) -> bool:
     return (
         targets(prim, f"{name}:excludes")
         or not reader.value(prim, f"{name}:includeRoot", True)
-        or (expression is not None and not expression.IsEmpty())
+        or (isinstance(expression, Sdf.PathExpression) and not expression.IsEmpty())
     )

@@ -95,7 +95,7 @@ def input_value(shader_input: UsdShade.Input, default: Any, reader: Reader, quie
     """The input's value as the type of `default`, or None where nothing usable is authored."""
     node, name = shader_input.GetPrim(), shader_input.GetFullName()
     attributes = UsdShade.Utils.GetValueProducingAttributes(shader_input)
-    if not attributes and shader_input.HasConnectedSource() and not quiet:
+    if not attributes and shader_input.GetAttr().HasAuthoredConnections() and not quiet:
         reader.warn(node, f"{name}: its connection leads to no value; the default is used")
     for attribute in attributes[:1]:
         if UsdShade.Utils.GetType(attribute.GetName()) == UsdShade.AttributeType.Output:

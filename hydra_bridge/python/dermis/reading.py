@@ -2,11 +2,15 @@
 attribute."""
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Usd
+from pxr import Sdf, Tf, Usd, Vt
+
+
+FLOAT32_MAX = float(np.finfo(np.float32).max)
 
 
 class Report:
@@ -74,7 +78,34 @@ class Reader:
                 prim, f"{name}: an array of {kind} was expected, found {describe(value)}; it is ignored"
             )
             return None
-        return np.ascontiguousarray(array, dtype)
+        # What is too large for float32 becomes infinity, which the core's validation names.
+        with np.errstate(over="ignore"):
+            return np.ascontiguousarray(array, dtype)
+
+    def tokens(self, prim: Usd.Prim, name: str) -> list[str] | None:
+        """A token array, or None where there is none."""
+        value = self.raw(prim, name)
+        if value is None or isinstance(value, (Vt.TokenArray, Vt.StringArray)):
+            return None if value is None else [str(x) for x in value]
+        self.warn(prim, f"{name}: tokens were expected, found {describe(value)}; it is ignored")
+        return None
+
+    def asset(self, prim: Usd.Prim, name: str) -> Sdf.AssetPath | None:
+        """An asset path, or None where there is none or an empty one."""
+        value = self.raw(prim, name)
+        if value is None or isinstance(value, Sdf.AssetPath):
+            return value if value is not None and value.path else None
+        self.warn(prim, f"{name}: an asset path was expected, found {describe(value)}; it is ignored")
+        return None
+
+    def transform(self, prim: Usd.Prim, compute: Callable[[Usd.Prim], Any], damaged: Any) -> Any:
+        """What an XformCache computes for a prim; `damaged` where its xformOps hold values of a wrong
+        type."""
+        try:
+            return compute(prim)
+        except Tf.ErrorException as error:
+            self.warn(prim, f"xformOpOrder: {usd_words(error)}; the identity is used")
+            return damaged
 
     def matrix(self, prim: Usd.Prim, matrix: Any) -> list[list[float]]:
         """A GfMatrix4d as nested lists; identity where it is not finite."""
@@ -83,6 +114,12 @@ class Reader:
             return rows
         self.warn(prim, "xformOpOrder: the transform is not finite; the identity is used")
         return [[float(i == j) for j in range(4)] for i in range(4)]
+
+
+def usd_words(error: Tf.ErrorException) -> str:
+    """USD's own message without the place in its sources."""
+    text = next((line for line in str(error).splitlines() if line.strip()), "")
+    return text.split(" : ", 1)[-1].strip().strip("'")
 
 
 def numeric(value: Any) -> NDArray | None:
@@ -119,8 +156,9 @@ def vector(value: Any, length: int) -> tuple[float, ...]:
 
 
 def finite(value: float) -> float:
-    if not math.isfinite(value):
-        raise ValueError(f"{value} is not finite")
+    """`value` if it is finite in single precision, which is what the core computes in."""
+    if not abs(value) <= FLOAT32_MAX:
+        raise ValueError(f"{value:g} is not finite in single precision")
     return value
 
 

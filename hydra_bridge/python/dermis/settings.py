@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import numpy as np
 from pxr import Sdf, Usd, UsdRender
 
 from .reading import Reader
@@ -137,17 +136,14 @@ def product_aovs(product: Usd.Prim, reader: Reader) -> list[str]:
 
 def included_purposes(prim: Usd.Prim | None, reader: Reader) -> tuple[str, ...]:
     """`includedPurposes` of the settings; default and render without."""
-    value = reader.raw(prim, "includedPurposes") if prim else None
-    return (
-        tuple(str(x) for x in value) if value is not None and np.ndim(value) == 1 else ("default", "render")
-    )
+    purposes = reader.tokens(prim, "includedPurposes") if prim else None
+    return ("default", "render") if purposes is None else tuple(purposes)
 
 
 def binding_purpose(prim: Usd.Prim | None, reader: Reader) -> str:
     """The first named material purpose; bindings for all purposes stand in where it has none."""
-    value = reader.raw(prim, "materialBindingPurposes") if prim else None
-    named = [str(x) for x in value if str(x) in ("full", "preview")] if value is not None else []
-    return named[0] if named else "full"
+    purposes = reader.tokens(prim, "materialBindingPurposes") if prim else None
+    return next((purpose for purpose in purposes or () if purpose in ("full", "preview")), "full")
 
 
 def related(prim: Usd.Prim, name: str) -> list[Usd.Prim]:

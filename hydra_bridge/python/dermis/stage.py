@@ -12,7 +12,7 @@ from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade
 from .camera import auto_camera, camera_fields, find_camera
 from .emit import Emitter
 from .material import flatten_material
-from .reading import Reader, Report
+from .reading import Reader, Report, usd_words
 from .settings import binding_purpose, find_settings, flatten_settings, included_purposes
 from .walk import Walk
 
@@ -81,23 +81,17 @@ def open_stage(path: str | Path, session_layer: str | Path | None = None, mask: 
         paths = [mask] if isinstance(mask, str) else mask
         return Usd.Stage.OpenMasked(root, session, Usd.StagePopulationMask([Sdf.Path(str(p)) for p in paths]))
     except Tf.ErrorException as error:
-        raise StageError(f"Could not open layer: {path} ({first_line(error)})") from error
+        raise StageError(f"Could not open layer: {path} ({usd_words(error)})") from error
 
 
 def open_layer(path: str | Path) -> Sdf.Layer:
     try:
         layer = Sdf.Layer.FindOrOpen(str(path))
     except Tf.ErrorException as error:
-        raise StageError(f"Could not open layer: {path} ({first_line(error)})") from error
+        raise StageError(f"Could not open layer: {path} ({usd_words(error)})") from error
     if layer is None:
         raise StageError(f"Could not open layer: {path}")
     return layer
-
-
-def first_line(error: Tf.ErrorException) -> str:
-    """USD's own words without the place in its sources."""
-    text = next((line for line in str(error).splitlines() if line.strip()), "")
-    return text.split(" : ", 1)[-1].strip().strip("'")
 
 
 def flatten(

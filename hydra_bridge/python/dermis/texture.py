@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Ar, Sdf, Usd
+from pxr import Ar, Usd
 
 from .reading import Reader
 
@@ -27,8 +27,8 @@ def flatten_texture(prim: Usd.Prim, name: str, reader: Reader, textures: dict[st
 
     A missing or unreadable file gives one warning; the light then emits its plain colour.
     """
-    asset = reader.raw(prim, name)
-    if not isinstance(asset, Sdf.AssetPath) or not asset.path:
+    asset = reader.asset(prim, name)
+    if asset is None:
         return ""
     space = prim.GetAttribute(name).GetColorSpace() or "auto"
     if space not in ("auto", *RAW_SPACES, *SRGB_SPACES):

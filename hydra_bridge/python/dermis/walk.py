@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from pxr import Gf, Usd, UsdGeom, UsdLux, UsdShade, Vt
 
-from .instancer import Matrices, place, point_instances
+from .instancer import Matrices, nested, place, point_instances
 from .light import LIGHT_TYPES, UNSUPPORTED_LIGHTS
 from .mesh import MESH_TYPES, PRIMVARS
 from .reading import Reader
@@ -108,7 +108,7 @@ class Walk:
                 self.stage.GetPseudoRoot().GetFilteredChildren(INSTANCES), self.world, Context(), IDENTITY
             )
         else:
-            parent = self.xforms.GetParentToWorldTransform(root)
+            parent = self.reader.transform(root, self.xforms.GetParentToWorldTransform, IDENTITY)
             self.push([root], self.world, ancestry(root, self.reader), parent)
         while self.open:
             prim, frame, context, parent = self.open.pop()
@@ -141,11 +141,15 @@ class Walk:
         """Frame and prim-to-frame; a reset of the transform stack takes a prim out of its native instance."""
         if parent is None:
             return frame, IDENTITY
-        local, resets = self.xforms.GetLocalTransformation(prim)
+        local, resets = self.local(prim)
         if not resets:
             return frame, local * parent
         # Inside a point instancer a reset ends at the prototype's root, as in Hydra.
         return frame if frame.in_point_instancer else self.world, local
+
+    def local(self, prim: Usd.Prim) -> tuple[Gf.Matrix4d, bool]:
+        """Prim to parent, and whether it starts anew from the world."""
+        return self.reader.transform(prim, self.xforms.GetLocalTransformation, (IDENTITY, False))
 
     def note(self, prim: Usd.Prim, kind: str, frame: Frame, context: Context, matrix: Gf.Matrix4d) -> None:
         """Adds a prim to the frame if it is one that renders."""
@@ -194,8 +198,9 @@ class Walk:
                 )
                 continue
             child = self.prototype_frame(prim, int(i), prototype, frame, context)
-            local = np.array(self.xforms.GetLocalTransformation(prototype)[0])
-            frame.points.append((child, local @ matrices[indices == i] @ np.array(matrix)))
+            local = self.local(prototype)[0]
+            instances = matrices[indices == i] @ np.array(matrix)
+            frame.points.append((child, nested(np.array(local)[None], instances)))
 
     def prototype_frame(
         self, prim: Usd.Prim, i: int, prototype: Usd.Prim, frame: Frame, context: Context
