@@ -90,11 +90,11 @@ fn crossings<L: Lanes>(leaf: &Leaf, shear: &Shear, mut hit: impl FnMut(u32, Cros
     if inside == 0 {
         return false;
     }
-    let e = e.map(L::store);
+    let e = [e[0].store(), e[1].store(), e[2].store()];
     while inside != 0 {
         let lane = inside.trailing_zeros() as usize & 7;
         inside &= inside - 1;
-        let crossing = shear.crossing(leaf, lane, e.map(|e| e[lane]));
+        let crossing = shear.crossing(leaf, lane, [e[0][lane], e[1][lane], e[2][lane]]);
         if crossing.is_some_and(|c| hit(leaf.id[lane], c)) {
             return true;
         }

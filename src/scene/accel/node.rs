@@ -78,10 +78,15 @@ impl<L: Lanes> BoxRay<L> {
     pub fn test(&self, node: &Node, t_max: f32) -> (u32, [f32; 8]) {
         let (mut near, mut far) = (L::splat(0.0), L::splat(t_max));
         for axis in 0..3 {
-            let slab = |plane: usize| L::load(&node.planes[plane]).sub(self.o[axis]).mul(self.inv_d[axis]);
-            near = slab(self.near[axis]).max(near);
-            far = slab(2 * axis + 3 - self.near[axis]).min(far);
+            near = self.slab(node, axis, self.near[axis]).max(near);
+            far = self.slab(node, axis, 2 * axis + 3 - self.near[axis]).min(far);
         }
         (near.le(far.mul(L::splat(WIDEN))), near.store())
+    }
+
+    /// Distances to one plane of each child.
+    #[inline(always)]
+    fn slab(&self, node: &Node, axis: usize, plane: usize) -> L {
+        L::load(&node.planes[plane]).sub(self.o[axis]).mul(self.inv_d[axis])
     }
 }

@@ -74,8 +74,10 @@ impl Shear {
     /// Zeros among them are still to be decided by [`Shear::crossing`].
     #[inline(always)]
     pub fn edges<L: Lanes>(&self, leaf: &Leaf) -> (u32, [L; 3]) {
-        let ([a, b, c], zero) = ([0, 1, 2].map(|vertex| self.vertices::<L>(&leaf.p[vertex])), L::splat(0.0));
-        let e = [cross(c, b), cross(a, c), cross(b, a)];
+        let a = self.vertices::<L>(&leaf.p[0]);
+        let b = self.vertices::<L>(&leaf.p[1]);
+        let c = self.vertices::<L>(&leaf.p[2]);
+        let (zero, e) = (L::splat(0.0), [cross(c, b), cross(a, c), cross(b, a)]);
         let low = e[0].min(e[1]).min(e[2]);
         let high = e[0].max(e[1]).max(e[2]);
         (zero.le(low) | high.le(zero), e)
@@ -84,7 +86,9 @@ impl Shear {
     /// Sheared x and y of one vertex of eight triangles.
     #[inline(always)]
     fn vertices<L: Lanes>(&self, p: &[[f32; 8]; 3]) -> [L; 2] {
-        let [x, y, z] = [0, 1, 2].map(|i| L::load(&p[self.k[i]]).sub(L::splat(self.o[i])));
+        let x = L::load(&p[self.k[0]]).sub(L::splat(self.o[0]));
+        let y = L::load(&p[self.k[1]]).sub(L::splat(self.o[1]));
+        let z = L::load(&p[self.k[2]]).sub(L::splat(self.o[2]));
         [x.sub(L::splat(self.s[0]).mul(z)), y.sub(L::splat(self.s[1]).mul(z))]
     }
 
