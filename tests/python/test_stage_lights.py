@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from pxr import UsdLux
+from pxr import UsdLux, UsdUtils
 
 from dermis.stage import flatten, open_stage
 
@@ -220,3 +220,15 @@ def test_our_stage(usd_scenes):
     assert flat_stage.warnings == []
     kinds = {prim["shape"]["kind"] for prim in flat_stage.prims.values() if prim["type"] == "Light"}
     assert kinds == {"rect", "disk", "sphere", "cylinder", "mesh", "distant", "dome"}
+
+
+def test_texture_inside_a_package(tmp_path):
+    write_image(tmp_path / "sky.exr", np.full((1, 2, 3), 3.0, np.float32), oiio.FLOAT)
+    body = light("DomeLight", "    asset inputs:texture:file = @sky.exr@")
+    (tmp_path / "sky.usda").write_text("#usda 1.0\n" + body)
+    package = tmp_path / "sky.usdz"
+    assert UsdUtils.CreateNewUsdzPackage(str(tmp_path / "sky.usda"), str(package))
+    result = flatten(open_stage(package))
+    assert result.warnings == []
+    texture = result.prims[result.prims["/L"]["shape"]["texture"]]
+    assert "sky.usdz" in texture["file"] and texture["pixels"].tolist() == [[3.0, 3.0, 3.0]] * 2

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Sdf, Tf, Usd, Vt
 
-
 FLOAT32_MAX = float(np.finfo(np.float32).max)
 
 

@@ -77,8 +77,10 @@ def decode(path: str, space: str, _stamp: tuple[int, int]) -> tuple[int, int, ND
 
 
 def decode_file(path: str, space: str) -> tuple[int, int, NDArray, tuple[str, ...]]:
-    import OpenImageIO as oiio
-
+    try:
+        import OpenImageIO as oiio
+    except ImportError as error:
+        raise TextureError(f"images need OpenImageIO ({error})") from error
     image = oiio.ImageInput.open(path)
     if image is None:
         raise TextureError(f"it cannot be read ({oiio.geterror().strip()})")
