@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 /// What shape emits; local frame and defaults as in UsdLux (emission along -Z unless said).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all_fields = "camelCase", tag = "kind")]
+#[serde(rename_all = "camelCase", rename_all_fields = "camelCase", tag = "kind")]
 pub enum LightShape {
     /// XY rectangle; `texture` is a key of `FlatScene::textures` or empty. Min uv at (+X, +Y).
     Rect { width: f32, height: f32, texture: String },
