@@ -48,6 +48,10 @@ impl Storm {
         Self { specular, fresnel, rho, below, f0, f90, opacity }
     }
 
+    pub fn with_rho(&self, rho: Rgb) -> Self {
+        Self { rho, ..*self }
+    }
+
     pub fn push(&self, bsdf: &mut Bsdf, weight: Rgb) {
         let mu = bsdf.mu();
         let specular = self.specular.albedo(mu);
@@ -105,6 +109,7 @@ pub fn compile(
         coat,
         base: Base::Storm(inputs.storm()),
         interior: None,
+        takes_display_color: m.diffuse_color.is_none() && m.metallic == 0.0,
     };
     if subsurface > 0.0 {
         add_medium(&mut surface, m, &inputs, subsurface, boundary_override, check);

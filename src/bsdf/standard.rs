@@ -37,6 +37,7 @@ pub fn compile(m: &StandardSurface, boundary_override: Option<Boundary>, check: 
         coat,
         base: Base::Layered(Layered::new(&description)),
         interior: description.medium.map(|medium| medium.interior),
+        takes_display_color: false,
     }
 }
 

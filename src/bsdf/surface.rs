@@ -54,6 +54,8 @@ pub struct Surface {
     pub(super) coat: Option<Coat>,
     pub(super) base: Base,
     pub(super) interior: Option<Interior>,
+    /// The diffuse colour is the mesh's.
+    pub(super) takes_display_color: bool,
 }
 
 impl Surface {
@@ -91,6 +93,13 @@ impl Surface {
 
     pub fn is_emissive(&self) -> bool {
         self.emission() != Rgb::ZERO
+    }
+
+    /// This surface with `color` for its `displayColor`, where that varies over the mesh; `None` where the material
+    /// says its own colour (or is a metal or a medium, which take the mesh's constant one).
+    pub fn with_display_color(&self, color: Rgb) -> Option<Self> {
+        let Base::Storm(storm) = &self.base else { return None };
+        self.takes_display_color.then(|| Self { color, base: Base::Storm(storm.with_rho(color)), ..*self })
     }
 
     /// Colour for the albedo AOV.

@@ -60,7 +60,11 @@ enum Previous {
     /// By a delta lobe, or with nothing else that could have sampled it.
     Delta,
     /// At `p` with solid-angle pdf `pdf`. Light was sampled there too, on the side of `n` if there is one.
-    Sampled { p: Vec3, n: Option<Vec3>, pdf: f32 },
+    Sampled {
+        p: Vec3,
+        n: Option<Vec3>,
+        pdf: f32,
+    },
 }
 
 /// AOV that light found next belongs to.
@@ -161,6 +165,8 @@ impl Path<'_> {
     /// Next-event estimation and a new direction at a surface.
     fn scatter(&mut self, hit: &SurfaceHit, si: &Interaction, sampler: &mut Sampler) -> Option<()> {
         let surface = &self.scene.surfaces[si.surface as usize].surface;
+        let recolored = si.display_color.and_then(|color| surface.with_display_color(color));
+        let surface = recolored.as_ref().unwrap_or(surface);
         let bsdf = surface.bsdf(si.local(si.wo), si.side);
         let (u_lobe, u_choice) = (sampler.next(), sampler.next());
         let (u_light, u) = (sampler.next_2d(), sampler.next_2d());
@@ -168,7 +174,7 @@ impl Path<'_> {
         let chosen = bsdf.sample(u_lobe, u);
         let passes = matches!(&chosen, Some(s) if s.event == Event::PassThrough);
         if !passes {
-            self.record_first_hit(si);
+            self.record_first_hit(si, surface.albedo());
         }
         if self.depth > 0 && self.bucket == Bucket::Direct {
             self.bucket = Bucket::Indirect;
@@ -263,13 +269,13 @@ impl Path<'_> {
         Some(())
     }
 
-    fn record_first_hit(&mut self, si: &Interaction) {
+    fn record_first_hit(&mut self, si: &Interaction, albedo: Rgb) {
         if self.depth > 0 || self.sample.alpha > 0.0 {
             return;
         }
         let scene = self.scene;
         self.sample.alpha = 1.0;
-        self.sample.albedo = scene.surfaces[si.surface as usize].surface.albedo();
+        self.sample.albedo = albedo;
         self.sample.first = FirstHit {
             depth: scene.camera.depth(si.p),
             normal: si.frame.n,
