@@ -86,7 +86,7 @@ fn tree_agrees_with_brute_force() {
     let mut hits = 0;
     for triangles in scenes() {
         let blas = blas(&triangles);
-        for ray in rays(&triangles, 3000, random) {
+        for ray in rays(&triangles, 1000, random) {
             let expected = brute(&triangles, &ray, u32::MAX);
             assert_eq!(blas.closest(&ray), expected, "{} triangles, {ray:?}", triangles.len());
             assert_eq!(blas.any(&ray), expected.is_some());
@@ -98,7 +98,7 @@ fn tree_agrees_with_brute_force() {
             assert!(!blas.any(&Ray { t_max: hit.t, ..ray }), "t_max is exclusive");
         }
     }
-    assert!(hits > 5000);
+    assert!(hits > 2000);
 }
 
 /// t, u, v against Moeller and Trumbore 1997 in f64, with rays that stay clear of edges.
