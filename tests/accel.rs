@@ -1,6 +1,6 @@
 //! The acceleration structures through their public face: leaks, short segments, degenerate input.
 
-use dermis::math::TAU;
+use dermis::math::{Affine, TAU};
 use dermis::scene::accel::{Aabb, Blas, Ray, Tlas};
 use glam::{Mat3, Vec3};
 
@@ -175,4 +175,151 @@ fn short_segments_find_their_hit() {
             assert!(blas.any(&ray) && blas.closest(&ray).is_some(), "{name}: {ray:?} leaks");
         }
     }
+}
+
+fn object(points: &[Vec3]) -> Blas {
+    let n = points.len() as u32 / 3;
+    Blas::build(points, &Vec::from_iter((0..n).map(|i| [3 * i, 3 * i + 1, 3 * i + 2])))
+}
+
+/// None of these may panic or hang; where there is something to hit, it is hit.
+#[test]
+fn degenerate_meshes() {
+    let down = Ray::new(Vec3::new(0.2, 0.2, 1.0), Vec3::NEG_Z, f32::INFINITY);
+    let triangle = [Vec3::ZERO, Vec3::X, Vec3::Y];
+    let hit = |points: &[Vec3]| object(points).closest(&down).map(|h| (h.t, h.triangle));
+    assert_eq!(hit(&[]), None);
+    assert!(object(&[]).bounds().is_empty());
+    assert_eq!(hit(&triangle), Some((1.0, 0)));
+    assert_eq!(hit(&[Vec3::ZERO; 3]), None, "a point");
+    assert_eq!(hit(&[Vec3::ZERO, Vec3::ONE, Vec3::ONE]), None, "a segment");
+    assert_eq!(hit(&triangle.repeat(100_000)), Some((1.0, 0)), "copies: the first");
+    assert_eq!(hit(&[[Vec3::splat(0.2); 3].repeat(100_000), triangle.to_vec()].concat()), Some((1.0, 100_000)));
+    assert_eq!(hit(&[[Vec3::NAN; 3], [Vec3::INFINITY; 3], triangle].concat()), Some((1.0, 2)));
+    assert_eq!(Blas::build(&triangle, &[[0, 1, 7], [0, 1, 2]]).closest(&down).map(|h| h.triangle), Some(1));
+    let huge = triangle.map(|p| (p - 0.25) * 1e18);
+    assert_eq!(hit(&huge).map(|h| h.1), Some(0));
+    let tiny = triangle.map(|p| p * 1e-7);
+    let above = Ray::new(Vec3::new(2e-8, 2e-8, 1e-7), Vec3::NEG_Z, f32::INFINITY);
+    assert!(object(&tiny).any(&above));
+    assert!(object(&[tiny.as_slice(), &huge].concat()).closest(&above).is_some_and(|h| h.triangle == 0));
+    let needle = [Vec3::new(-1e6, 0.2, 0.0), Vec3::new(1e6, 0.2 - 1e-7, 0.0), Vec3::new(1e6, 0.2 + 1e-7, 0.0)];
+    assert_eq!(hit(&needle).map(|h| h.1), Some(0));
+}
+
+#[test]
+fn degenerate_rays_hit_nothing() {
+    let blas = object(&[Vec3::ZERO, Vec3::X, Vec3::Y]);
+    let o = Vec3::new(0.2, 0.2, 1.0);
+    for d in [Vec3::ZERO, Vec3::NAN, Vec3::INFINITY, Vec3::X, Vec3::Z] {
+        assert_eq!(blas.closest(&Ray::new(o, d, f32::INFINITY)), None, "{d}");
+    }
+    for t_max in [0.0, -1.0, 1.0, f32::NAN] {
+        assert_eq!(blas.closest(&Ray::new(o, Vec3::NEG_Z, t_max)), None, "{t_max}");
+    }
+    assert_eq!(blas.closest(&Ray::new(Vec3::new(0.2, 0.2, 0.0), Vec3::NEG_Z, 1.0)), None, "t = 0");
+    assert_eq!(blas.closest(&Ray::new(Vec3::NAN, Vec3::NEG_Z, 1.0)), None);
+}
+
+/// Inputs on which a plain PLOC merges one pair per pass.
+#[test]
+fn objects_on_which_plain_ploc_crawls() {
+    let n = 100_000;
+    let unit = Aabb { min: Vec3::ZERO, max: Vec3::ONE };
+    let at = |x: f32, size: f32| Aabb { min: Vec3::new(x, 0.0, 0.0), max: Vec3::new(x + size, size, size) };
+    let everything = Aabb { min: Vec3::NEG_INFINITY, max: Vec3::INFINITY };
+    let sets: [(&str, Vec<Aabb>); 4] = [
+        ("copies", vec![unit; n]),
+        ("a row", (0..n).map(|i| at(i as f32, 0.5)).collect()),
+        ("nested", (0..n).map(|i| at(-(i as f32), 2.0 * i as f32)).collect()),
+        (
+            "a row and infinite ones",
+            (0..n).map(|i| if i % 1000 == 0 { everything } else { at(i as f32, 1e-3) }).collect(),
+        ),
+    ];
+    for (name, boxes) in sets {
+        let tlas = Tlas::build(&boxes);
+        let o = Vec3::new(500.25, 0.25, -1.0);
+        let mut seen = Vec::new();
+        tlas.traverse(&mut Ray::new(o, Vec3::Z, f32::INFINITY), |i, _| {
+            seen.push(i);
+            false
+        });
+        seen.sort_unstable();
+        let over = |b: &Aabb| b.min.x <= o.x && o.x <= b.max.x && b.max.y >= o.y && b.max.z >= -1.0;
+        let expected: Vec<u32> = (0..n as u32).filter(|&i| over(&boxes[i as usize])).collect();
+        assert_eq!(seen, expected, "{name}");
+    }
+}
+
+fn place(random: &mut Random) -> Affine {
+    let linear = Mat3::from_cols(random.cube(), random.cube(), random.cube()) + Mat3::IDENTITY * 0.1;
+    Affine { linear, inverse: linear.inverse(), translation: random.cube() * 4.0 }
+}
+
+/// The closest hit among placed copies: (t, instance).
+fn closest(tlas: &Tlas, blas: &Blas, places: &[Affine], ray: &Ray) -> Option<(f32, u32)> {
+    let mut best = None;
+    tlas.traverse(&mut ray.clone(), |i, ray| {
+        if let Some(hit) = local(blas, &places[i as usize], ray) {
+            ray.t_max = hit;
+            best = Some((hit, i));
+        }
+        false
+    });
+    best
+}
+
+fn local(blas: &Blas, place: &Affine, ray: &Ray) -> Option<f32> {
+    let ray = Ray::new(place.inverse_point(ray.o), place.inverse_vector(ray.d), ray.t_max);
+    blas.closest(&ray).map(|hit| hit.t)
+}
+
+#[test]
+fn overlapping_instances_agree_with_brute_force() {
+    let (blas, mut random) = (Mesh::torus(20).blas(), Random(5));
+    let places: Vec<Affine> = (0..200).map(|_| place(&mut random)).collect();
+    let tlas = Tlas::build(&places.iter().map(|p| blas.bounds().transform(p)).collect::<Vec<_>>());
+    let mut hits = 0;
+    for _ in 0..2000 {
+        let ray = Ray::new(random.cube() * 6.0, random.direction(), [f32::INFINITY, 2.0][random.below(2)]);
+        let all = (0..places.len()).filter_map(|i| Some((local(&blas, &places[i], &ray)?, i as u32)));
+        let expected = all.min_by(|a, b| a.0.total_cmp(&b.0));
+        assert_eq!(closest(&tlas, &blas, &places, &ray), expected, "{ray:?}");
+        hits += usize::from(expected.is_some());
+    }
+    assert!(hits > 500);
+}
+
+#[test]
+fn traversal_stops_when_told() {
+    let boxes = [Aabb { min: Vec3::ZERO, max: Vec3::ONE }; 100];
+    let mut visits = 0;
+    Tlas::build(&boxes).traverse(&mut Ray::new(Vec3::splat(0.5), Vec3::X, 1.0), |_, _| {
+        visits += 1;
+        visits == 3
+    });
+    assert_eq!(visits, 3);
+}
+
+#[test]
+fn transformed_boxes_hold_transformed_points() {
+    let mut random = Random(6);
+    for _ in 0..20_000 {
+        let m = place(&mut random);
+        let corners = [random.cube() * 10.0, random.cube() * 10.0];
+        let b = Aabb::from_points(corners);
+        let image = b.transform(&m);
+        let p = b.min + b.extent() * Vec3::new(random.unit(), random.unit(), random.unit());
+        for p in [p.clamp(b.min, b.max), b.min, b.max, corners[0]] {
+            assert!(image.contains(m.point(p)), "{b:?} {m:?} {p}");
+        }
+        let corner_images = Aabb::from_points(
+            (0..8).map(|i| m.point(Vec3::select(glam::BVec3::new(i & 1 > 0, i & 2 > 0, i & 4 > 0), b.min, b.max))),
+        );
+        assert!((image.extent() - corner_images.extent()).max_element() < 1e-3, "not tight");
+    }
+    assert!(Aabb::EMPTY.transform(&place(&mut random)).is_empty());
+    let all = Aabb { min: Vec3::NEG_INFINITY, max: Vec3::INFINITY }.transform(&place(&mut random));
+    assert!(all.contains(Vec3::splat(1e30)));
 }

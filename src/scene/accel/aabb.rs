@@ -55,7 +55,8 @@ impl Aabb {
 
     /// Grown by at least `by` on every side, rounded outward.
     pub fn pad(&self, by: Vec3) -> Self {
-        let down = |x: f32, by: f32| if by > 0.0 { (x - by).next_down() } else { x };
+        // The second subtraction takes at least one ulp; where it underflows, the first was exact.
+        let down = |x: f32, by: f32| if by > 0.0 { (x - by) - (x - by).abs() * f32::EPSILON } else { x };
         Self { min: map2(self.min, by, down), max: -map2(-self.max, by, down) }
     }
 

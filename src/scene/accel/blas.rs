@@ -85,7 +85,7 @@ impl Blas {
 
 /// Calls `hit` with each crossing of the line with the leaf's triangles, until it returns true.
 #[inline(always)]
-fn crossings<L: Lanes>(leaf: &Leaf, shear: &Shear, mut hit: impl FnMut(u32, Crossing) -> bool) -> bool {
+pub(super) fn crossings<L: Lanes>(leaf: &Leaf, shear: &Shear, mut hit: impl FnMut(u32, Crossing) -> bool) -> bool {
     let (mut inside, e) = shear.edges::<L>(leaf);
     if inside == 0 {
         return false;

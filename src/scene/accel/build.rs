@@ -13,26 +13,47 @@ use obvhs::ploc::{PlocBuilder, PlocSearchDistance, SortPrecision};
 /// eight boxes, so nearly full leaves pay.
 const TRAVERSAL_COST: f32 = 6.0;
 
-/// Share of the nodes in the first of the passes of reinsertion; the next ones take 1/3, 1/5, ... of it.
+/// Share of the nodes in the first of the passes of reinsertion; the next ones take 1/3, 1/5, ... of it. The
+/// gain is near the root, so large trees need no more than `REINSERTED` nodes.
 const REINSERTION: f32 = 0.1;
+const REINSERTED: f32 = 40_000.0;
 
 /// Trees deeper than this are degenerate; reinsertion is not worth its growing stacks there.
 const DEEP: usize = 512;
 
+/// Boxes that `nested` looks at, and the depth of their tree from which it speaks; 15 to 25 is usual.
+const SAMPLE: usize = 2048;
+const NESTED: usize = 64;
+
 /// Topology over `boxes` with at most `leaf_size` of them in a leaf. The boxes of its nodes are not conservative.
 pub(super) fn binary_tree(boxes: &[Aabb], leaf_size: usize) -> Bvh2 {
-    let indices = (0..boxes.len() as u32).collect();
-    let guides = guide_boxes(boxes);
-    let (distance, precision) = (PlocSearchDistance::Medium, SortPrecision::U64);
-    let mut tree = PlocBuilder::with_capacity(boxes.len()).build(distance, &guides, indices, precision, 3);
+    let mut guides = guide_boxes(boxes);
+    if nested(&guides) {
+        guides.iter_mut().for_each(|b| *b = obvhs::aabb::Aabb::from_point(b.center()));
+    }
+    let mut tree = ploc(&guides);
     leaf_collapser::collapse(&mut tree, leaf_size as u32, TRAVERSAL_COST);
     reinsert(&mut tree);
     tree
 }
 
+fn ploc(guides: &[obvhs::aabb::Aabb]) -> Bvh2 {
+    let indices = (0..guides.len() as u32).collect();
+    let (distance, precision) = (PlocSearchDistance::Medium, SortPrecision::U64);
+    PlocBuilder::with_capacity(guides.len()).build(distance, guides, indices, precision, 3)
+}
+
+/// Whether much of the input is boxes within boxes within boxes, like an onion: each prefers the next smaller one,
+/// and PLOC takes n passes for a chain of n. A sample of it is a chain too. Centres then have to do.
+fn nested(guides: &[obvhs::aabb::Aabb]) -> bool {
+    let stride = guides.len() / SAMPLE;
+    stride > 0 && depth(&ploc(&Vec::from_iter(guides.iter().step_by(stride).copied()))) > NESTED
+}
+
 /// One pass at a time: obvhs' search panics when its stack of 2 `max_depth` is too small, and every pass may deepen
 /// the tree. A search of a tree of depth n holds at most n + 1 entries.
 fn reinsert(tree: &mut Bvh2) {
+    let share = REINSERTION.min(REINSERTED / tree.nodes.len().max(1) as f32);
     let mut optimizer = ReinsertionOptimizer::default();
     for pass in (1..32).step_by(2) {
         let depth = depth(tree);
@@ -40,7 +61,7 @@ fn reinsert(tree: &mut Bvh2) {
             return;
         }
         tree.max_depth = depth + 1;
-        optimizer.run(tree, REINSERTION, Some(vec![1.0 / pass as f32]));
+        optimizer.run(tree, share, Some(vec![1.0 / pass as f32]));
     }
 }
 

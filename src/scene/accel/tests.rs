@@ -1,1 +1,177 @@
+//! What the public face cannot show: agreement with brute force and between instruction sets, stacks, trees.
 
+use super::blas::crossings;
+use super::lanes::{Isa, Portable};
+use super::triangle::{Leaf, Shear};
+use super::*;
+use crate::sampling::sampler::Sampler;
+
+fn cube(random: &mut Sampler) -> Vec3 {
+    Vec3::new(random.random(), random.random(), random.random()) * 2.0 - 1.0
+}
+
+/// `n` triangles of about `size` in the cube [-1, 1]^3; every fifth repeats its predecessor.
+fn soup(n: usize, size: f32, random: &mut Sampler) -> Vec<[Vec3; 3]> {
+    let mut triangles: Vec<[Vec3; 3]> = Vec::new();
+    for i in 0..n {
+        let centre = cube(random);
+        let new = std::array::from_fn(|_| centre + cube(random) * size);
+        triangles.push(if i % 5 == 4 { triangles[i - 1] } else { new });
+    }
+    triangles
+}
+
+/// A height field over n x n unit cells: shared edges, and axis-aligned boxes that touch.
+fn terrain(n: usize, random: &mut Sampler) -> Vec<[Vec3; 3]> {
+    let height: Vec<f32> = (0..(n + 1) * (n + 1)).map(|_| (4.0_f32 * random.random()).floor() * 0.25).collect();
+    let at = |i: usize, j: usize| Vec3::new(i as f32, j as f32, height[i * (n + 1) + j]) * (2.0 / n as f32) - 1.0;
+    let quad = |k: usize| {
+        let (i, j) = (k / n, k % n);
+        let [a, b, c, d] = [at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)];
+        [[a, b, c], [a, c, d]]
+    };
+    (0..n * n).flat_map(quad).collect()
+}
+
+fn blas(triangles: &[[Vec3; 3]]) -> Blas {
+    let indices: Vec<[u32; 3]> = (0..triangles.len() as u32).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
+    Blas::build(triangles.as_flattened(), &indices)
+}
+
+/// The same triangle test without a tree.
+fn brute(triangles: &[[Vec3; 3]], ray: &Ray, skip: u32) -> Option<TriHit> {
+    let shear = Shear::new(ray);
+    let mut best: Option<TriHit> = None;
+    for (id, &p) in triangles.iter().enumerate().filter(|&(id, _)| id as u32 != skip) {
+        let mut leaf = Leaf::EMPTY;
+        leaf.set(id % 8, id as u32, p);
+        crossings::<Portable>(&leaf, &shear, |triangle, c| {
+            if c.t > 0.0 && c.t < best.map_or(ray.t_max, |b| b.t) {
+                best = Some(TriHit { t: c.t, triangle, u: c.u, v: c.v });
+            }
+            false
+        });
+    }
+    best
+}
+
+/// Rays of all lengths, some axis-aligned, some from and to vertices.
+fn rays(triangles: &[[Vec3; 3]], n: usize, random: &mut Sampler) -> Vec<Ray> {
+    let pick = |random: &mut Sampler, n: usize| ((random.random() * n as f32) as usize).min(n - 1);
+    let one = |_| {
+        let o = cube(random) * 1.5;
+        let vertex = triangles[pick(random, triangles.len())][pick(random, 3)];
+        let (o, d) = match pick(random, 5) {
+            0 => (o, vertex - o),
+            1 => (vertex, cube(random)),
+            2 => (o, Vec3::AXES[pick(random, 3)] * [1.0, -1.0][pick(random, 2)]),
+            3 => (vertex - Vec3::Z * 0.3, Vec3::new(-0.0, 0.0, 1.0)),
+            _ => (o, cube(random)),
+        };
+        Ray::new(o, d, [f32::INFINITY, 1.0, 0.1, 1e-3][pick(random, 4)])
+    };
+    (0..n).map(one).collect()
+}
+
+fn scenes() -> Vec<Vec<[Vec3; 3]>> {
+    let random = &mut Sampler::new(1, 2, 3);
+    let mut scenes: Vec<_> = [1, 2, 7, 8, 9, 17, 64, 300].iter().map(|&n| soup(n, 0.5, random)).collect();
+    scenes.extend([soup(1000, 0.05, random), soup(300, 2.0, random), terrain(16, random)]);
+    scenes
+}
+
+#[test]
+fn tree_agrees_with_brute_force() {
+    let random = &mut Sampler::new(4, 5, 6);
+    let mut hits = 0;
+    for triangles in scenes() {
+        let blas = blas(&triangles);
+        for ray in rays(&triangles, 1000, random) {
+            let expected = brute(&triangles, &ray, u32::MAX);
+            assert_eq!(blas.closest(&ray), expected, "{} triangles, {ray:?}", triangles.len());
+            assert_eq!(blas.any(&ray), expected.is_some());
+            let Some(hit) = expected else { continue };
+            hits += 1;
+            let next = brute(&triangles, &ray, hit.triangle);
+            assert_eq!(blas.closest_skip(&ray, hit.triangle), next);
+            assert_eq!(blas.any_skip(&ray, hit.triangle), next.is_some());
+            assert!(!blas.any(&Ray { t_max: hit.t, ..ray }), "t_max is exclusive");
+        }
+    }
+    assert!(hits > 2000);
+}
+
+/// t, u, v against Moeller and Trumbore 1997 in f64, with rays that stay clear of edges.
+#[test]
+fn crossing_agrees_with_moeller_trumbore() {
+    let random = &mut Sampler::new(7, 8, 9);
+    for _ in 0..20_000 {
+        let p = [cube(random), cube(random), cube(random)];
+        let [o, d] = [cube(random) * 3.0, cube(random)];
+        let [a, b, c] = p.map(|p| p.as_dvec3());
+        let (od, dd) = (o.as_dvec3(), d.as_dvec3());
+        let (ab, ac, ao) = (b - a, c - a, od - a);
+        let det = dd.cross(ac).dot(ab);
+        let [t, u, v] = [ao.cross(ab).dot(ac), dd.cross(ac).dot(ao), ao.cross(ab).dot(dd)].map(|x| x / det);
+        let margin = u.min(v).min(1.0 - u - v).min(t);
+        let hit = blas(&[p]).closest(&Ray::new(o, d, f32::INFINITY));
+        if det.abs() < 1e-2 || margin.abs() < 1e-3 {
+            continue;
+        }
+        assert_eq!(hit.is_some(), margin > 0.0);
+        if let Some(hit) = hit {
+            assert_eq!(hit.triangle, 0);
+            let error = (f64::from(hit.u) - u).abs().max((f64::from(hit.v) - v).abs());
+            assert!(error < 1e-4 && (f64::from(hit.t) - t).abs() < 1e-4 * t.max(1.0), "{hit:?} is not {t} {u} {v}");
+        }
+    }
+}
+
+/// Needs a machine with AVX2 to say anything; elsewhere both sides are the portable code.
+#[test]
+fn instruction_sets_agree_bit_for_bit() {
+    let random = &mut Sampler::new(10, 11, 12);
+    for triangles in scenes() {
+        let blas = blas(&triangles);
+        let mut portable = blas.clone();
+        portable.tree.isa = Isa::Portable;
+        for ray in rays(&triangles, 5000, random) {
+            assert_eq!(blas.closest(&ray), portable.closest(&ray), "{ray:?}");
+            assert_eq!(blas.any(&ray), portable.any(&ray));
+        }
+    }
+}
+
+/// Boxes that grow geometrically around one corner make a chain. The walk indexes a slice of exactly
+/// `tree.stack` entries there and would panic if the bound did not hold.
+#[test]
+fn deep_trees_fall_back_to_the_heap() {
+    let growth = |i: i32| 1.01_f32.powi(i);
+    let boxes: Vec<Aabb> =
+        (0..2000).map(|i| Aabb { min: Vec3::splat(-growth(i)) * 1e-4, max: Vec3::splat(growth(i)) }).collect();
+    let mut tlas = Tlas::build(&boxes);
+    assert!(tlas.tree.stack > 128, "the chain needs only {}", tlas.tree.stack);
+    for isa in [Isa::detect(), Isa::Portable] {
+        tlas.tree.isa = isa;
+        let mut seen = vec![0; boxes.len()];
+        tlas.traverse(&mut Ray::new(Vec3::ZERO, Vec3::ONE, f32::INFINITY), |i, _| {
+            seen[i as usize] += 1;
+            false
+        });
+        assert!(seen.iter().all(|&n| n == 1));
+    }
+}
+
+#[test]
+fn builds_are_equal() {
+    let triangles = soup(3000, 0.1, &mut Sampler::new(1, 1, 1));
+    let [a, b] = [blas(&triangles), blas(&triangles)];
+    assert_eq!(format!("{:?}", a.tree), format!("{:?}", b.tree));
+    assert!(a.leaves.iter().map(|l| l.id).eq(b.leaves.iter().map(|l| l.id)));
+}
+
+#[test]
+fn a_tree_stays_below_a_hundred_bytes_per_triangle() {
+    let blas = blas(&terrain(100, &mut Sampler::new(1, 1, 1)));
+    assert!(blas.memory() < 100 * 20_000, "{} bytes", blas.memory());
+}

@@ -56,11 +56,11 @@ impl Tree {
         self.walk_lanes::<super::lanes::Avx2, V>(ray, visitor);
     }
 
-    /// Ordinary trees find room on the machine's stack; a tree degenerate enough to need more pays for the heap.
+    /// Ordinary trees find room on the machine's stack; one degenerate enough to need more pays for the heap.
     #[inline(always)]
     fn walk_lanes<L: Lanes, V: Visitor>(&self, ray: &Ray, visitor: &mut V) {
-        if self.stack <= 64 {
-            self.walk_stack::<L, V>(ray, &mut [Entry::default(); 64], visitor);
+        if self.stack <= 128 {
+            self.walk_stack::<L, V>(ray, &mut [Entry::default(); 128], visitor);
         } else {
             self.walk_stack::<L, V>(ray, &mut vec![Entry::default(); self.stack], visitor);
         }

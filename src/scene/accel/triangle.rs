@@ -95,9 +95,12 @@ impl Shear {
     /// The crossing with the triangle in `lane`, whose edge functions in f32 are `e`.
     #[inline(always)]
     pub fn crossing(&self, leaf: &Leaf, lane: usize, e: [f32; 3]) -> Option<Crossing> {
-        let w = if e.contains(&0.0) { self.weights_f64(leaf, lane)? } else { weights(e) };
-        let z = [0, 1, 2].map(|vertex| self.s[2] * (leaf.p[vertex][self.k[2]][lane] - self.o[2]));
-        Some(Crossing { t: w[0] * z[0] + w[1] * z[1] + w[2] * z[2], u: w[1], v: w[2] })
+        let w = if e[0] == 0.0 || e[1] == 0.0 || e[2] == 0.0 { self.weights_f64(leaf, lane)? } else { weights(e) };
+        let (p, k) = (&leaf.p, self.k[2]);
+        let z = [p[0][k][lane] - self.o[2], p[1][k][lane] - self.o[2], p[2][k][lane] - self.o[2]];
+        // Exact where the triangle is perpendicular to the axis, unlike the sum of three weighted depths.
+        let t = (z[0] + w[1] * (z[1] - z[0]) + w[2] * (z[2] - z[0])) * self.s[2];
+        Some(Crossing { t, u: w[1], v: w[2] })
     }
 
     /// A zero edge function is decided in f64, where the product of two f32 is exact (section 3.2 of the paper).
@@ -124,7 +127,7 @@ impl Shear {
 #[inline(always)]
 fn weights(e: [f32; 3]) -> [f32; 3] {
     let sum = e[0] + e[1] + e[2];
-    e.map(|e| e / sum)
+    [e[0] / sum, e[1] / sum, e[2] / sum]
 }
 
 /// cross(a, b) == -cross(b, a), exactly.
