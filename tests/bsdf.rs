@@ -281,7 +281,7 @@ fn albedo(bsdf: &Bsdf, transmit: f32) -> Rgb {
     let mut sum = glam::DVec3::ZERO;
     for i in 0..N {
         let mut sampler = Sampler::new(3, 0, i);
-        let u = sampler.next();
+        let u = sampler.next_1d();
         if let Some(s) = bsdf.sample(u, sampler.next_2d()) {
             let scale = if s.event == Event::Transmit { transmit } else { 1.0 };
             sum += (s.f * (scale / s.pdf)).as_dvec3();
@@ -456,7 +456,7 @@ fn entry_is_a_cosine_below_the_specular_lobe() {
     let (mut entered, mut sum, mut mean_z) = (0, 0.0, 0.0);
     for i in 0..10_000 {
         let mut sampler = Sampler::new(4, 0, i);
-        let u = sampler.next();
+        let u = sampler.next_1d();
         let Some(s) = bsdf.sample(u, sampler.next_2d()) else { continue };
         if s.event == Event::EnterSubsurface {
             assert!(s.delta && s.wi.z <= 0.0);
@@ -491,7 +491,7 @@ fn opacity_follows_its_mode() {
         let bsdf = surface.bsdf(direction(0.4), Side::Outside);
         let pass = |i: u32| {
             let mut sampler = Sampler::new(5, 0, i);
-            let u = sampler.next();
+            let u = sampler.next_1d();
             let s = bsdf.sample(u, sampler.next_2d())?;
             (s.event == Event::PassThrough).then_some(f64::from((s.f / s.pdf).x))
         };
@@ -608,7 +608,7 @@ fn check_finite(surface: &Surface) {
             let bsdf = surface.bsdf(wo, side);
             for i in 0..200 {
                 let mut sampler = Sampler::new(6, 0, i);
-                let u = sampler.next();
+                let u = sampler.next_1d();
                 let Some(s) = bsdf.sample(u, sampler.next_2d()) else { continue };
                 let weight = s.f / s.pdf;
                 assert!(weight.is_finite() && weight.min_element() >= 0.0 && s.pdf > 0.0, "{surface:?} {wo}: {s:?}");

@@ -40,6 +40,7 @@ impl Default for StageInfo {
 /// One prim as the bridge hands it to `RenderDelegate::sync`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "type")]
+#[allow(clippy::large_enum_variant)] // one at a time, on its way into the scene: a box would only be unpacked
 pub enum Prim {
     Mesh(Mesh),
     Instancer(Instancer),

@@ -91,9 +91,9 @@ impl Path<'_> {
     fn leave_diffuse(&mut self, exit: &Interaction, sampler: &mut Sampler) -> Option<()> {
         // wo is below; the exit lobe does not depend on it.
         let bsdf = Bsdf::lambert_exit();
-        let (u_choice, u_light) = (sampler.next(), sampler.next_2d());
+        let (u_choice, u_light) = (sampler.next_1d(), sampler.next_2d());
         self.next_event(exit, &bsdf, u_choice, u_light);
-        let chosen = bsdf.sample(sampler.next(), sampler.next_2d())?;
+        let chosen = bsdf.sample(sampler.next_1d(), sampler.next_2d())?;
         let wi = exit.frame.to_world(chosen.wi);
         (wi.dot(exit.ng) > 0.0).then_some(())?;
         self.throughput *= chosen.f / chosen.pdf;
@@ -106,9 +106,9 @@ impl Path<'_> {
     fn meet_dielectric(&mut self, surface: u32, exit: &Interaction, sampler: &mut Sampler) -> Option<Option<Vec3>> {
         let surface = &self.scene.surfaces[surface as usize].surface;
         let bsdf = surface.bsdf(exit.local(exit.wo), Side::Inside);
-        let (u_choice, u_light) = (sampler.next(), sampler.next_2d());
+        let (u_choice, u_light) = (sampler.next_1d(), sampler.next_2d());
         self.next_event(exit, &bsdf, u_choice, u_light);
-        let chosen = bsdf.sample(sampler.next(), sampler.next_2d())?;
+        let chosen = bsdf.sample(sampler.next_1d(), sampler.next_2d())?;
         let wi = exit.frame.to_world(chosen.wi);
         self.throughput *= chosen.f / chosen.pdf;
         let outward = wi.dot(exit.ng) > 0.0;

@@ -168,7 +168,7 @@ impl Path<'_> {
         let recolored = si.display_color.and_then(|color| surface.with_display_color(color));
         let surface = recolored.as_ref().unwrap_or(surface);
         let bsdf = surface.bsdf(si.local(si.wo), si.side);
-        let (u_lobe, u_choice) = (sampler.next(), sampler.next());
+        let (u_lobe, u_choice) = (sampler.next_1d(), sampler.next_1d());
         let (u_light, u) = (sampler.next_2d(), sampler.next_2d());
 
         let chosen = bsdf.sample(u_lobe, u);

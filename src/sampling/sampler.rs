@@ -37,7 +37,7 @@ impl Sampler {
     }
 
     /// A number in [0, 1).
-    pub fn next(&mut self) -> f32 {
+    pub fn next_1d(&mut self) -> f32 {
         if self.dimension < SOBOL_DIMENSIONS {
             let u = sobol_burley::sample(self.index, self.dimension, self.seed);
             self.dimension += 1;
@@ -47,7 +47,7 @@ impl Sampler {
     }
 
     pub fn next_2d(&mut self) -> Vec2 {
-        Vec2::new(self.next(), self.next())
+        Vec2::new(self.next_1d(), self.next_1d())
     }
 
     /// A number in [0, 1) from the hashed stream: SplitMix64 (Steele et al. 2014), top 24 bits.
