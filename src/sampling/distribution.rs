@@ -87,9 +87,9 @@ impl Distribution2D {
 /// Fills `cdf` with normalised cumulative sums and returns the sum; a row without weight stays zero.
 fn accumulate(cdf: &mut [f64], weight: impl Fn(usize) -> f64) -> f64 {
     let mut sum = 0.0;
-    for x in 1..cdf.len() {
-        sum += weight(x - 1);
-        cdf[x] = sum;
+    for (x, c) in cdf[1..].iter_mut().enumerate() {
+        sum += weight(x);
+        *c = sum;
     }
     if sum > 0.0 {
         cdf.iter_mut().for_each(|c| *c /= sum);
