@@ -87,7 +87,7 @@ impl Distribution2D {
 /// Fills `cdf` with normalised cumulative sums and returns the sum; a row without weight stays zero.
 fn accumulate(cdf: &mut [f64], weight: impl Fn(usize) -> f64) -> f64 {
     let mut sum = 0.0;
-    for (x, c) in cdf.iter_mut().skip(1).enumerate() {
+    for (x, c) in cdf[1..].iter_mut().enumerate() {
         sum += weight(x);
         *c = sum;
     }

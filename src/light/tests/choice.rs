@@ -7,7 +7,7 @@ use crate::flat::Shaping;
 fn crowd() -> Vec<flat::Light> {
     let mut lights: Vec<flat::Light> = Vec::new();
     for (i, t) in [[0.0, 0.0, 3.0], [4.0, 0.0, 1.0], [-2.0, 5.0, 2.0]].into_iter().enumerate() {
-        for (_, transform) in placements(t) {
+        for (_, transform) in placements(t).into_iter().step_by(2) {
             let cone = Shaping { cone_angle: 30.0, cone_softness: 0.2, ..Default::default() };
             let shaping = (i == 1).then_some(cone);
             let crowd = area_shapes().map(|s| flat::Light { shaping: shaping.clone(), ..light(s, transform) });
@@ -37,14 +37,14 @@ fn probabilities_sum_to_one_and_are_the_frequencies() {
                 (0..lights.len() as u32).map(|i| lights.choice_probability(i, p, n)).collect();
             assert!((probabilities.iter().sum::<f32>() - 1.0).abs() < 1e-5);
             let mut counts = vec![0.0; lights.len()];
-            const N: u32 = 50_000;
+            const N: u32 = 20_000;
             for i in 0..N {
                 let (light, probability) = lights.choose(p, n, (i as f32 + 0.5) / N as f32).unwrap();
                 assert_eq!(probability, probabilities[light as usize]);
                 counts[light as usize] += 1.0 / N as f32;
             }
-            // Equidistant numbers: each count is right but for the pieces its interval was cut into.
-            let near = |(c, p): (&f32, &f32)| (c - p).abs() < 1e-3;
+            // Equidistant numbers: each count is right to one.
+            let near = |(c, p): (&f32, &f32)| (c - p).abs() < 1e-4;
             assert!(counts.iter().zip(&probabilities).all(near), "{counts:?} {probabilities:?}");
         }
     }
@@ -55,9 +55,9 @@ fn all_lights_together_give_the_sum() {
     let crowd = crowd();
     let lights = compile(&crowd);
     for (p, n) in RECEIVERS {
-        let single = |l: &flat::Light| irradiance(&compile(std::slice::from_ref(l)), p, n, 20_000, 3).mean;
+        let single = |l: &flat::Light| irradiance(&compile(std::slice::from_ref(l)), p, n, 10_000, 3).mean;
         let truth = crowd.iter().map(single).sum();
-        assert_agrees(irradiance(&lights, p, n, 300_000, 4), truth, 2e-3, &format!("at {p}"));
+        assert_agrees(irradiance(&lights, p, n, 100_000, 4), truth, 2e-3, &format!("at {p}"));
     }
 }
 

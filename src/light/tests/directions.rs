@@ -5,7 +5,7 @@ use crate::{math::Frame, sampling::UNIFORM_SPHERE_PDF, sampling::uniform_sphere}
 use std::f32::consts::TAU;
 
 const POINTS: [Vec3; 4] =
-    [Vec3::new(0.0, 0.0, 0.0), Vec3::new(1.3, -0.4, 0.9), Vec3::new(0.2, 0.5, 1.5), Vec3::new(-3.0, 6.0, 1.0)];
+    [Vec3::new(0.0, 0.0, 0.0), Vec3::new(1.3, -0.4, 0.9), Vec3::new(0.2, 0.5, 1.5), Vec3::new(-2.0, 3.0, -2.0)];
 
 fn cases() -> impl Iterator<Item = (String, flat::Light)> {
     placements([0.1, -0.1, 2.0])
@@ -130,7 +130,7 @@ pub fn check_directions(
     }
     let probability = bins.integrate(pdf);
     let total: f64 = probability.iter().sum();
-    assert!((total - 1.0).abs() < 8e-3, "{what}: pdf integrates to {total}");
+    assert!((total - 1.0).abs() < 6e-3, "{what}: pdf integrates to {total}");
     let expected: Vec<f64> = probability.iter().map(|p| p * f64::from(N)).collect();
     assert_chi_square(&counts, &expected, what);
 }

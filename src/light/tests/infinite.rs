@@ -91,7 +91,7 @@ fn sky() -> Prims<flat::Texture> {
 
 /// Irradiance by a midpoint sum over directions.
 fn direction_sum(lights: &Lights, light: u32, n: Vec3) -> f64 {
-    let (rows, columns) = (1000, 2000);
+    let (rows, columns) = (400, 800);
     let mut sum = 0.0;
     for i in 0..rows * columns {
         let y = ((i % rows) as f64 + 0.5) / rows as f64 * 2.0 - 1.0;

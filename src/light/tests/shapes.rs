@@ -10,7 +10,7 @@ use crate::{
 const ORIGIN: Vec3 = Vec3::ZERO;
 
 fn check(light: &flat::Light, p: Vec3, n: Vec3, what: &str) {
-    let truth = quadrature::irradiance(light, p.as_dvec3(), n.as_dvec3(), 400);
+    let truth = quadrature::irradiance(light, p.as_dvec3(), n.as_dvec3(), 300);
     let lights = compile(std::slice::from_ref(light));
     if truth == 0.0 {
         assert_eq!(irradiance(&lights, p, n, 200, 1).mean, 0.0, "{what}");
