@@ -199,6 +199,7 @@ impl RenderDelegate {
             return Ok(CompileStats { blas_built: 0, seconds: 0.0, ..self.compiled });
         }
         self.stop();
+        self.flat.settings.check()?;
         self.commit_warnings.clear();
         // A name that leads nowhere now may lead somewhere after the next edit: clear it in a copy (arrays are shared).
         let mut named = self.flat.clone();

@@ -10,7 +10,7 @@ const TILE: u32 = 16;
 
 /// Planes beside the beauty that a render was asked for.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Planes {
+struct Planes {
     /// depth, normal, position, primId: of the nearest sample of a pixel, unfiltered.
     pub geometry: bool,
     pub albedo: bool,
@@ -20,21 +20,16 @@ pub struct Planes {
     pub variance: bool,
 }
 
-/// AOV names a user may ask for, and the plane each lives in.
-pub const AOVS: [&str; 10] =
-    ["alpha", "depth", "normal", "position", "albedo", "primId", "direct", "indirect", "subsurface", "variance"];
-
 impl Planes {
-    /// Planes for the AOVs in `names`; the names that are not known.
-    pub fn from_names(names: &[String]) -> (Self, Vec<String>) {
+    /// Planes for the AOVs in `names`.
+    fn from_names(names: &[String]) -> Self {
         let has = |wanted: &[&str]| names.iter().any(|n| wanted.contains(&n.as_str()));
-        let planes = Self {
+        Self {
             geometry: has(&["depth", "normal", "position", "primId"]),
             albedo: has(&["albedo"]),
             buckets: has(&["direct", "indirect", "subsurface"]),
             variance: has(&["variance"]),
-        };
-        (planes, names.iter().filter(|n| !AOVS.contains(&n.as_str()) && *n != "color").cloned().collect())
+        }
     }
 }
 
@@ -165,14 +160,19 @@ pub struct Plane {
 #[derive(Debug)]
 pub struct Film {
     pub data_window: DataWindow,
-    pub planes: Planes,
+    planes: Planes,
+    /// AOVs to resolve beside the beauty; a plane may hold more than was asked for.
+    aovs: Vec<String>,
     pub tiles: Vec<Mutex<Tile>>,
     /// Factor on radiance when resolved (camera exposure).
     exposure: f32,
 }
 
 impl Film {
-    pub fn new(data_window: DataWindow, planes: Planes, exposure: f32) -> Self {
+    /// `noise`: keep second moments even if no AOV shows them.
+    pub fn new(data_window: DataWindow, aovs: &[String], noise: bool, exposure: f32) -> Self {
+        let mut planes = Planes::from_names(aovs);
+        planes.variance |= noise;
         let mut tiles = Vec::new();
         for y0 in (data_window.y0..data_window.y1).step_by(TILE as usize) {
             for x0 in (data_window.x0..data_window.x1).step_by(TILE as usize) {
@@ -180,7 +180,7 @@ impl Film {
                 tiles.push(Mutex::new(Tile::new(x0, y0, width, height, planes)));
             }
         }
-        Self { data_window, planes, tiles, exposure }
+        Self { data_window, planes, aovs: aovs.to_vec(), tiles, exposure }
     }
 
     /// Calls `f` with every tile in order.
@@ -243,6 +243,7 @@ impl Film {
                 rgb(v.as_vec3())
             }));
         }
+        planes.retain(|plane| plane.name == "color" || self.aovs.iter().any(|aov| aov == plane.name));
         planes
     }
 
@@ -268,8 +269,8 @@ mod tests {
     #[test]
     fn planes_resolve_to_means_at_their_pixels() {
         let window = DataWindow { x0: 3, y0: 5, x1: 40, y1: 27 };
-        let planes = Planes { geometry: true, albedo: false, buckets: true, variance: true };
-        let film = Film::new(window, planes, 2.0);
+        let aovs = ["depth", "direct", "subsurface", "variance"].map(String::from);
+        let film = Film::new(window, &aovs, false, 2.0);
         for tile in &film.tiles {
             let mut tile = tile.lock().unwrap();
             for i in 0..tile.samples.len() {
@@ -288,6 +289,10 @@ mod tests {
         assert_eq!((at("color", 0), at("color", 36)), (8.0, 80.0));
         assert_eq!((at("depth", 0), at("direct", 1), at("subsurface", 1)), (3.0, 10.0, 0.0));
         assert_eq!(at("variance", 4), 4.0); // exposure^2 (population variance 1) / (n - 1)
+        assert_eq!(
+            planes.iter().map(|p| p.name).collect::<Vec<_>>(),
+            ["color", "depth", "direct", "subsurface", "variance"]
+        );
         assert_eq!(film.samples_per_pixel(), 2.0);
     }
 }

@@ -1,6 +1,6 @@
 //! Rendering: passes over the tiles of the film until samples, time or noise say stop.
 
-use crate::film::{Film, Planes, Tile};
+use crate::film::{Film, Tile};
 use crate::flat::RenderSettings;
 use crate::integrator::{PathSettings, PathStats, trace};
 use crate::sampling::sampler::Sampler;
@@ -55,9 +55,8 @@ impl Progress {
 
 /// The film that `render` fills.
 pub fn film_for(scene: &Scene, settings: &RenderSettings) -> Film {
-    let (mut planes, _) = Planes::from_names(&settings.aovs);
-    planes.variance |= settings.noise_threshold > 0.0;
-    Film::new(scene.camera.data_window, planes, scene.camera.exposure)
+    let noise = settings.noise_threshold > 0.0;
+    Film::new(scene.camera.data_window, &settings.aovs, noise, scene.camera.exposure)
 }
 
 /// Renders samples `sample_offset..sample_offset + samples` into `film`. Deterministic for any number of

@@ -126,17 +126,12 @@ fn translated([x, y, z]: [f64; 3]) -> Light {
     light
 }
 
-fn all_aovs(size: u32, samples: u32) -> dermis::flat::RenderSettings {
-    let aovs = dermis::film::AOVS.map(String::from).to_vec();
-    dermis::flat::RenderSettings { aovs, ..settings(size, samples) }
-}
-
 /// One seed, one image: for any number of threads, bit for bit, in every AOV.
 #[test]
 fn same_image_for_any_number_of_threads() {
     let image = |threads| {
         let mut delegate = lit_sphere();
-        render(&mut delegate, dermis::flat::RenderSettings { threads, ..all_aovs(40, 5) })
+        render(&mut delegate, dermis::flat::RenderSettings { threads, ..settings(40, 5) })
     };
     let one = image(1);
     assert_eq!(one, image(2));
@@ -161,7 +156,7 @@ fn sample_ranges_merge() {
 #[test]
 fn light_aovs_add_up() {
     let mut delegate = lit_sphere();
-    let planes = render(&mut delegate, all_aovs(24, 16));
+    let planes = render(&mut delegate, settings(24, 16));
     let rgb = |name: &str| plane(&planes, name).to_vec();
     let (direct, indirect, subsurface) = (rgb("direct"), rgb("indirect"), rgb("subsurface"));
     for (i, color) in plane(&planes, "color").chunks(4).enumerate() {
@@ -178,7 +173,7 @@ fn variance_is_estimated() {
     let mut delegate = lit_sphere();
     let mut runs = Vec::new();
     for seed in 0..24 {
-        let planes = render(&mut delegate, dermis::flat::RenderSettings { seed, ..all_aovs(12, 8) });
+        let planes = render(&mut delegate, dermis::flat::RenderSettings { seed, ..settings(12, 8) });
         runs.push((channel(plane(&planes, "color"), 0), plane(&planes, "variance").to_vec()));
     }
     let pixels = runs[0].0.len();

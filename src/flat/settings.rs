@@ -2,6 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
+/// AOVs beside the beauty, in the order of the file.
+pub const AOVS: [&str; 10] =
+    ["alpha", "depth", "normal", "position", "albedo", "primId", "direct", "indirect", "subsurface", "variance"];
+
 /// Settings of one render; `--set NAME=VALUE` takes each of these names.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "camelCase", default, deny_unknown_fields)]
@@ -35,7 +39,7 @@ pub struct RenderSettings {
     pub subsurface_boundary: String,
     /// Camera rays see area lights.
     pub lights_visible_to_camera: bool,
-    /// AOVs beside the beauty: alpha, depth, normal, position, albedo, primId, direct, indirect, subsurface, variance.
+    /// AOVs beside the beauty, each one of [`AOVS`]; all by default.
     pub aovs: Vec<String>,
 }
 
@@ -58,7 +62,7 @@ impl Default for RenderSettings {
             walk: "auto".into(),
             subsurface_boundary: "auto".into(),
             lights_visible_to_camera: false,
-            aovs: Vec::new(),
+            aovs: AOVS.map(String::from).to_vec(),
         }
     }
 }

@@ -5,7 +5,6 @@ use super::{Coating, Geometry, Instance, Interior, Needs, Scene};
 use crate::bsdf::{self, Boundary, InteriorAlbedo, Surface};
 use crate::camera::Camera;
 use crate::error::{Error, Result, Warning};
-use crate::film::Planes;
 use crate::flat::{self, FlatScene, LightShape};
 use crate::light::Lights;
 use crate::math::{Affine, Rgb};
@@ -242,11 +241,6 @@ impl Builder<'_> {
         needs.textures = self.flat.textures.len() as u32;
         needs.depth_of_field = camera.has_depth_of_field();
         needs.aovs = self.flat.settings.aovs.clone();
-        let (_, unknown) = Planes::from_names(&needs.aovs);
-        for name in unknown {
-            self.warnings
-                .push(Warning::new(name, format!("unknown AOV left out; known are: {}", crate::film::AOVS.join(", "))));
-        }
         for coating in &self.surfaces {
             needs.transparency |= !coating.surface.is_opaque();
             let Some(interior) = coating.interior else { continue };

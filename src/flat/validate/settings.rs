@@ -2,7 +2,7 @@
 
 use crate::{
     error::{Error, Result},
-    flat::RenderSettings,
+    flat::{AOVS, RenderSettings},
 };
 
 /// Pixels per side: above it the AOVs of one image fill the memory of any machine.
@@ -12,8 +12,6 @@ const POLICIES: [&str; 5] =
     ["expandAperture", "cropAperture", "adjustApertureWidth", "adjustApertureHeight", "adjustPixelAspectRatio"];
 const WALKS: [&str; 2] = ["auto", "classical"];
 const BOUNDARIES: [&str; 4] = ["auto", "diffuse", "dielectric", "indexMatched"];
-const AOVS: [&str; 10] =
-    ["alpha", "depth", "normal", "position", "albedo", "primId", "direct", "indirect", "subsurface", "variance"];
 
 impl RenderSettings {
     /// Refuses what no image can be rendered with.
