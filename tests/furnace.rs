@@ -23,7 +23,7 @@ fn white(boundary: &str, roughness: f32, g: f32, radius: [f32; 3]) -> Material {
 fn furnace_radiance(boundary: &str, roughness: f32, g: f32) -> Vec<(f64, f64)> {
     let material = white(boundary, roughness, g, [0.01, 0.1, 1.0]);
     let mut delegate = scene(sphere(24, 1.0), material, vec![furnace()], camera(DVec3::new(0.0, 0.0, 8.0), 7.0));
-    let planes = render(&mut delegate, settings(24, 64));
+    let planes = render(&mut delegate, settings(16, 64));
     let stats = delegate.stats();
     assert_eq!((&stats["non_finite_samples"], &stats["walks_too_long"]), (&0.into(), &0.into()));
     (0..3).map(|c| mean_and_error(&channel(plane(&planes, "color"), c))).collect()
