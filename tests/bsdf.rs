@@ -400,7 +400,7 @@ fn preview_surface_is_storms() {
     }
 }
 
-/// Lobes that are not layered are reciprocal: EON without specular, metal without compensation (smooth enough).
+/// A diffuse base with nothing above it is reciprocal.
 #[test]
 fn diffuse_is_reciprocal() {
     let surface = standard(StandardSurface { specular: 0.0, diffuse_roughness: 0.7, ..Default::default() });
