@@ -84,7 +84,10 @@ impl Layered {
             let Interior { eta, alpha, .. } = m.interior;
             (m.share, Interface::new(eta, alpha, d.specular_tint, m.transmit_tint))
         });
-        let has_specular = d.specular_weight > 0.0 && boundary != Some(Boundary::IndexMatched);
+        // An interface everywhere leaves nothing to wear a lobe of its own.
+        let bare =
+            boundary == Some(Boundary::IndexMatched) || interface.is_some_and(|(share, _)| share * d.opacity == 1.0);
+        let has_specular = d.specular_weight > 0.0 && !bare;
         Self {
             metal: (d.metalness > 0.0).then(|| (d.metalness, Specular::new(d.alpha, d.metal, Masking::Smith))),
             interface,

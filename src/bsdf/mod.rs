@@ -99,7 +99,7 @@ impl Bsdf {
     /// Adds a lobe whose directional albedo is about `albedo`; probabilities are proportional to what lobes return.
     fn push(&mut self, lobe: Lobe, weight: Rgb, albedo: Rgb) {
         let share = mean(weight * albedo);
-        if share > 0.0 && self.len < MAX_LOBES {
+        if share > 0.0 {
             self.components[self.len] = Component { lobe, weight, probability: share };
             self.len += 1;
         }
