@@ -35,7 +35,7 @@ DEFAULTS: dict[str, Any] = {
     "shaping:cone:softness": 0.0,
 }
 
-CHUNK = 96
+CHUNK = 128
 """Points times light samples at once: memory stays in the caches."""
 
 
@@ -78,7 +78,7 @@ class Patches:
         return float(np.linalg.norm(self.areas, axis=1).sum())
 
 
-def irradiance(light: Light, points: Array, normals: Array, resolution: int = 48) -> Array:
+def irradiance(light: Light, points: Array, normals: Array, resolution: int = 32) -> Array:
     """RGB irradiance (n, 3) on `points` with unit `normals` (n, 3), nothing in between."""
     if light.kind == "DistantLight":
         return per_normal(light, normals, distant_irradiance)
@@ -101,39 +101,41 @@ def emission(light: Light, size: float) -> Array:
 
 def gather(light: Light, patches: Patches, points: Array, normals: Array) -> Array:
     """Sum of cos cos dA / d^2 over the patches that face the points, shaped and tinted."""
-    to_light = patches.positions[None] - points[:, None]
-    distance = np.linalg.norm(to_light, axis=2)
-    received = np.einsum("pqi,pi->pq", to_light, normals).clip(min=0.0)
-    emitted = -np.einsum("pqi,qi->pq", to_light, patches.areas).clip(max=0.0)
-    form = received * emitted / distance**4
-    tint = np.broadcast_to(patches.tint, patches.positions.shape)
+    q, areas = patches.positions, patches.areas
+    received = (normals @ q.T - dot(normals, points)[:, None]).clip(min=0.0)
+    emitted = (points @ areas.T - dot(q, areas)).clip(min=0.0)
+    distance2 = dot(points, points)[:, None] + dot(q, q) - 2.0 * points @ q.T
+    form = received * emitted / distance2**2
+    tint = np.broadcast_to(patches.tint, q.shape)
     if not light.shaped:
         return form @ tint
-    cosine = -(to_light @ light.axis) / distance
-    return np.einsum("pq,pqc,qc->pc", form, shaping(light, cosine), tint)
+    cosine = ((points @ light.axis)[:, None] - q @ light.axis) / np.sqrt(distance2)
+    off_axis = np.array(light["shaping:focusTint"], float)
+    form = form * cone(light, cosine)
+    return off_axis * (form @ tint) + (1.0 - off_axis) * ((form * focus(light, cosine)) @ tint)
 
 
-def shaping(light: Light, cosine: Array) -> Array:
-    """ShapingAPI: factor (..., 3) for emission at `cosine` to the light's axis."""
-    focus = np.abs(cosine) ** max(light["shaping:focus"], 0.0)
-    tint = np.array(light["shaping:focusTint"], float)
+def focus(light: Light, cosine: Array) -> Array:
+    """ShapingAPI: share of white against `focusTint` at `cosine` to the axis; negative exponents are ignored."""
+    return np.abs(cosine) ** max(light["shaping:focus"], 0.0)
+
+
+def cone(light: Light, cosine: Array) -> Array:
+    """ShapingAPI: 1 - smoothStep(offAxis, smoothStart, cutoff)."""
     cutoff = np.radians(light["shaping:cone:angle"])
     start = (1.0 - np.clip(light["shaping:cone:softness"], 0.0, 1.0)) * cutoff
-    theta = np.arccos(np.clip(cosine, -1.0, 1.0))
+    off_axis = np.arccos(np.clip(cosine, -1.0, 1.0))
     if start == cutoff:
-        cone = (theta <= cutoff).astype(float)
-    else:
-        t = np.clip((theta - start) / (cutoff - start), 0.0, 1.0)
-        cone = 1.0 - t * t * (3.0 - 2.0 * t)
-    return cone[..., None] * (tint + focus[..., None] * (1.0 - tint))
+        return (off_axis <= cutoff).astype(float)
+    t = np.clip((off_axis - start) / (cutoff - start), 0.0, 1.0)
+    return 1.0 - t * t * (3.0 - 2.0 * t)
 
 
 # Shapes
 
 
 def rect(light: Light, n: int) -> Patches:
-    """One texel at least gets one node; u runs from +X to -X, the image from +Y down to -Y."""
-    n = 64 if light.texture is not None else n
+    """u runs from +X to -X, the image from +Y down to -Y."""
     u, du = midpoints(0.0, 1.0, n) if light.texture is not None else gauss(0.0, 1.0, n)
     u, v, weight = grid(u, du, u, du)
     w, h = light["width"], light["height"]
@@ -226,7 +228,7 @@ def distant_irradiance(light: Light, normal: Array) -> Array:
         return emission(light, 1.0) * max(0.0, -light.axis @ normal)
     sine2 = np.sin(half) ** 2
     size = np.pi * (sine2 if half <= np.pi / 2.0 else 2.0 - sine2)
-    t, phi, weight = grid(*gauss(0.0, half, 256), *midpoints(0.0, 2.0 * np.pi, 512))
+    t, phi, weight = grid(*gauss(0.0, half, 128), *midpoints(0.0, 2.0 * np.pi, 256))
     x, y = across(-light.axis)
     to_light = np.sin(t)[:, None] * (np.cos(phi)[:, None] * x + np.sin(phi)[:, None] * y)
     to_light -= np.cos(t)[:, None] * light.axis
@@ -273,6 +275,10 @@ def grid(s: Array, ds: Array, t: Array, dt: Array) -> tuple[Array, Array, Array]
 
 def fill(like: Array, vector: Any) -> Array:
     return np.tile(np.array(vector, float), (len(like), 1))
+
+
+def dot(a: Array, b: Array) -> Array:
+    return (a * b).sum(axis=-1)
 
 
 def unit(v: Array) -> Array:
