@@ -14,7 +14,9 @@ SCENES = Path(__file__).parents[2] / ".." / "shared" / "scenes"
 STAGES = ["backlit_bunny", "card_skull", "creature_spot", "envmap_dragon"]
 PRODUCTION = ["preview_surface", "openpbr", "standard_surface"]
 
-pytestmark = pytest.mark.skipif(not SCENES.is_dir(), reason=f"{SCENES} is absent: shared stages are not tested")
+pytestmark = pytest.mark.skipif(
+    not SCENES.is_dir(), reason=f"{SCENES} is absent: shared stages are not tested"
+)
 
 
 def stage_in_look(name: str, look: str) -> Usd.Stage:
@@ -30,7 +32,12 @@ def looks(name: str) -> list[str]:
 
 def render(name: str, look: str, samples: int, seed: int, **settings: object) -> dermis.Image:
     return dermis.render(
-        stage_in_look(name, look), resolution=[48, 48], samples=samples, seed=seed, aovs=["variance"], **settings
+        stage_in_look(name, look),
+        resolution=[48, 48],
+        samples=samples,
+        seed=seed,
+        aovs=["variance"],
+        **settings,
     )
 
 
