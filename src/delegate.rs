@@ -221,7 +221,8 @@ impl RenderDelegate {
             let instancer = self.flat.instancers.get(&mesh.instancer);
             let placements = instancer.map_or(&[flat::IDENTITY][..], |instancer| &instancer.transforms);
             for placement in placements {
-                let (a, b) = (glam::DMat4::from_cols_array_2d(placement), glam::DMat4::from_cols_array_2d(&mesh.transform));
+                let (a, b) =
+                    (glam::DMat4::from_cols_array_2d(placement), glam::DMat4::from_cols_array_2d(&mesh.transform));
                 for p in mesh.points.iter().filter(|p| p.iter().all(|x| x.is_finite())) {
                     let p = (a * b).transform_point3(glam::Vec3::from(*p).as_dvec3());
                     let (min, max) = bounds.unwrap_or((p, p));

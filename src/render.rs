@@ -101,10 +101,8 @@ pub fn render(scene: &Scene, settings: &RenderSettings, film: &Film, progress: &
 
 fn render_tile(scene: &Scene, settings: &RenderSettings, tile: &mut Tile, begin: u32, count: u32) -> PathStats {
     let mut stats = PathStats::default();
-    let path = PathSettings {
-        max_depth: settings.max_depth,
-        lights_visible_to_camera: settings.lights_visible_to_camera,
-    };
+    let path =
+        PathSettings { max_depth: settings.max_depth, lights_visible_to_camera: settings.lights_visible_to_camera };
     for i in 0..(tile.width * tile.height) as usize {
         let (x, y) = (tile.x0 + i as u32 % tile.width, tile.y0 + i as u32 / tile.width);
         // The pixel's number in the whole image: a crop renders the pixels of the whole.

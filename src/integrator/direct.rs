@@ -24,7 +24,8 @@ impl Path<'_> {
         let scene = self.scene;
         let (o, d) = (self.o, self.d);
         scene.light_shapes(o, d, t_max, |light, hit| {
-            let weight = self.light_weight(light, |p, n| scene.lights.pdf_hit(light, p, n, d, &seen_from(p, o, d, hit)));
+            let weight =
+                self.light_weight(light, |p, n| scene.lights.pdf_hit(light, p, n, d, &seen_from(p, o, d, hit)));
             let radiance = scene.lights.radiance_hit(light, d, hit);
             self.see_light(weight * self.attenuation(hit.t) * radiance);
         });

@@ -40,7 +40,8 @@ impl Path<'_> {
                 Boundary::Dielectric => match self.meet_dielectric(si.surface, &exit, sampler)? {
                     Some(reflected) => {
                         self.cross()?;
-                        start = Start { p: enclosure.point(&at), d: reflected, normal: exit.ng, hit: at, weight: Rgb::ONE };
+                        start =
+                            Start { p: enclosure.point(&at), d: reflected, normal: exit.ng, hit: at, weight: Rgb::ONE };
                     }
                     None => return Some(()),
                 },

@@ -60,7 +60,11 @@ enum Previous {
     /// By a delta lobe, or with nothing else that could have sampled it.
     Delta,
     /// At `p` with solid-angle pdf `pdf`. Light was sampled there too, on the side of `n` if there is one.
-    Sampled { p: Vec3, n: Option<Vec3>, pdf: f32 },
+    Sampled {
+        p: Vec3,
+        n: Option<Vec3>,
+        pdf: f32,
+    },
 }
 
 /// AOV that light found next belongs to.

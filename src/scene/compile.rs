@@ -35,7 +35,11 @@ pub struct CompileStats {
 const MIN_MEAN_FREE_PATH: f32 = 1e-30;
 
 /// Compiles a validated scene; `cache` keeps geometry between calls.
-pub fn compile(flat: &FlatScene, cache: &mut GeometryCache, warnings: &mut Vec<Warning>) -> Result<(Scene, CompileStats)> {
+pub fn compile(
+    flat: &FlatScene,
+    cache: &mut GeometryCache,
+    warnings: &mut Vec<Warning>,
+) -> Result<(Scene, CompileStats)> {
     let start = std::time::Instant::now();
     let camera = flat.cameras.get(&flat.settings.camera).ok_or_else(|| Error::Prim {
         prim: flat.settings.camera.clone(),
@@ -133,8 +137,14 @@ impl Builder<'_> {
             self.needs.instanced += placements.len() as u32 - 1;
             for to_render in placements {
                 let translated = to_render.linear == Mat3::IDENTITY;
-                let instance =
-                    Instance { geometry: geometry.clone(), to_render, surfaces, prim_id: prim_id as i32, light: None, translated };
+                let instance = Instance {
+                    geometry: geometry.clone(),
+                    to_render,
+                    surfaces,
+                    prim_id: prim_id as i32,
+                    light: None,
+                    translated,
+                };
                 if let Some(triangles) = emitters.get_mut(path) {
                     triangles.extend(render_triangles(&instance));
                 }
@@ -148,14 +158,17 @@ impl Builder<'_> {
         let mut place = |m: &flat::Matrix4d| {
             let placed = Affine::from_usd(m, centre, self.origin);
             if placed.is_none() {
-                self.warnings.push(Warning::new(path, "xformOp: the transform has no inverse in f32; placement left out"));
+                self.warnings
+                    .push(Warning::new(path, "xformOp: the transform has no inverse in f32; placement left out"));
             }
             placed
         };
         if mesh.instancer.is_empty() {
             return place(&mesh.transform).into_iter().collect();
         }
-        let Some(instancer) = self.flat.instancers.get(&mesh.instancer).filter(|i| i.visible) else { return Vec::new() };
+        let Some(instancer) = self.flat.instancers.get(&mesh.instancer).filter(|i| i.visible) else {
+            return Vec::new();
+        };
         instancer.transforms.iter().filter_map(|m| place(&multiply(&mesh.transform, m))).collect()
     }
 
@@ -166,7 +179,8 @@ impl Builder<'_> {
             Some(super::Attribute::Constant(color)) => Some(*color),
             _ => None,
         };
-        let subsets = mesh.geom_subsets.iter().map(|s| if s.material.is_empty() { &mesh.material } else { &s.material });
+        let subsets =
+            mesh.geom_subsets.iter().map(|s| if s.material.is_empty() { &mesh.material } else { &s.material });
         for material in std::iter::once(&mesh.material).chain(subsets) {
             let prim = if material.is_empty() { path } else { material };
             let standard = flat::Material::default();
@@ -203,8 +217,7 @@ impl Builder<'_> {
     /// Compiles the lights and tells instances of mesh lights which triangles are theirs.
     fn lights(&mut self, instances: &mut [Instance], emitters: Emitters) -> Lights {
         let triangles = |mesh: &str| emitters.get(mesh).filter(|t| !t.is_empty()).cloned();
-        let lights =
-            Lights::compile(&self.flat.lights, &self.flat.textures, &triangles, self.origin, self.warnings);
+        let lights = Lights::compile(&self.flat.lights, &self.flat.textures, &triangles, self.origin, self.warnings);
         let paths: Vec<&String> = self.flat.meshes.keys().collect();
         let mut next: BTreeMap<i32, u32> = BTreeMap::new();
         for instance in instances {
@@ -227,7 +240,8 @@ impl Builder<'_> {
         needs.aovs = self.flat.settings.aovs.clone();
         let (_, unknown) = Planes::from_names(&needs.aovs);
         for name in unknown {
-            self.warnings.push(Warning::new(name, format!("unknown AOV left out; known are: {}", crate::film::AOVS.join(", "))));
+            self.warnings
+                .push(Warning::new(name, format!("unknown AOV left out; known are: {}", crate::film::AOVS.join(", "))));
         }
         for coating in &self.surfaces {
             needs.transparency |= !coating.surface.is_opaque();

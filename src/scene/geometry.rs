@@ -140,8 +140,11 @@ fn triangulate(mesh: &flat::Mesh) -> Triangulation {
     let holes: std::collections::BTreeSet<i32> = mesh.hole_indices.iter().copied().collect();
     let left_handed = mesh.orientation == Orientation::LeftHanded;
     let n = mesh.face_vertex_indices.len().saturating_sub(2 * mesh.face_vertex_counts.len());
-    let mut soup =
-        Triangulation { triangles: Vec::with_capacity(n), corners: Vec::with_capacity(n), faces: Vec::with_capacity(n) };
+    let mut soup = Triangulation {
+        triangles: Vec::with_capacity(n),
+        corners: Vec::with_capacity(n),
+        faces: Vec::with_capacity(n),
+    };
     let mut first = 0_u32;
     for (face, &count) in mesh.face_vertex_counts.iter().enumerate() {
         let count = count as u32;
@@ -159,7 +162,11 @@ fn triangulate(mesh: &flat::Mesh) -> Triangulation {
     soup
 }
 
-fn attribute<T: Element, U: Copy>(primvar: &Primvar<T>, soup: &Triangulation, convert: impl Fn(T) -> U) -> Attribute<U> {
+fn attribute<T: Element, U: Copy>(
+    primvar: &Primvar<T>,
+    soup: &Triangulation,
+    convert: impl Fn(T) -> U,
+) -> Attribute<U> {
     let value = |i: usize| {
         let i = primvar.indices.as_ref().map_or(i, |indices| indices[i] as usize);
         convert(primvar.values[i])
