@@ -37,7 +37,10 @@ fn white_bodies_vanish() {
                 for (c, (mean, error)) in furnace_radiance(boundary, roughness, g).into_iter().enumerate() {
                     // 72 numbers: 4.5 standard errors; 1e-4 for leaked walks.
                     eprintln!("{boundary} roughness {roughness} g {g} channel {c}: {mean:.5} +- {error:.5}");
-                    assert!((mean - 1.0).abs() < 4.5 * error + 1e-4, "{boundary} {roughness} g {g} {c}: {mean} +- {error}");
+                    assert!(
+                        (mean - 1.0).abs() < 4.5 * error + 1e-4,
+                        "{boundary} {roughness} g {g} {c}: {mean} +- {error}"
+                    );
                 }
             }
         }

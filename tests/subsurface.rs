@@ -149,7 +149,8 @@ fn spectral_mixture_has_the_means_of_its_channels() {
     let rgb = Medium { sigma_t: Rgb::new(0.5, 5.0, 50.0), albedo: Rgb::new(0.99, 0.8, 0.0), g: 0.0 };
     let together = run_slab(&rgb, 1.0, true, 400_000, 7);
     for channel in 0..3 {
-        let alone = Medium { sigma_t: Rgb::splat(rgb.sigma_t[channel]), albedo: Rgb::splat(rgb.albedo[channel]), g: 0.0 };
+        let alone =
+            Medium { sigma_t: Rgb::splat(rgb.sigma_t[channel]), albedo: Rgb::splat(rgb.albedo[channel]), g: 0.0 };
         let alone = run_slab(&alone, 1.0, true, 400_000, 8);
         for (a, b) in [(together.reflected, alone.reflected), (together.transmitted, alone.transmitted)] {
             let variance = |e: Estimate| ((e.squares / e.n - e.mean() * e.mean()) / e.n)[channel];

@@ -67,8 +67,7 @@ impl Delegate {
             return Err(PyValueError::new_err("settings: not an object"));
         };
         merged.extend(edit);
-        let settings: RenderSettings =
-            serde_json::from_value(merged.into()).map_err(|e| json_error("settings", e))?;
+        let settings: RenderSettings = serde_json::from_value(merged.into()).map_err(|e| json_error("settings", e))?;
         self.core.set_settings(settings).map_err(core_error)
     }
 
