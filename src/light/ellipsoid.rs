@@ -72,16 +72,32 @@ impl Ellipsoid {
         largest_stretch(&self.linear)
     }
 
-    /// Thomsen's formula, p = 1.6 (within 1.2 % of the true area, exact for spheres).
+    /// Surface area, which UsdLux divides by: 4 pi times the mean over directions n of |cofactor(A) n|. The polar
+    /// integral of sqrt(q + d u^2) is done by hand, the azimuth by midpoints (within 1e-4 even of a needle).
     pub fn area(&self) -> f64 {
-        const P: f64 = 1.6;
-        let [a, b, c] = semi_axes(&self.linear).map(|axis| axis.powf(P));
-        4.0 * PI * ((a * b + a * c + b * c) / 3.0).powf(1.0 / P)
+        const MIDPOINTS: u32 = 64;
+        let mut axes = semi_axes(&self.linear);
+        axes.sort_by(f64::total_cmp);
+        let [c, b, a] = axes;
+        let polar = |k| {
+            let (sin, cos) = ((f64::from(k) + 0.5) / f64::from(MIDPOINTS) * PI / 2.0).sin_cos();
+            let equator = c * f64::hypot(b * cos, a * sin);
+            mean_stretch(equator, a * b)
+        };
+        4.0 * PI * (0..MIDPOINTS).map(polar).sum::<f64>() / f64::from(MIDPOINTS)
     }
 
     fn to_unit(&self, p: Vec3) -> Vec3 {
         self.inverse * (p - self.center)
     }
+}
+
+/// Integral over u in [0, 1] of sqrt(equator^2 (1 - u^2) + pole^2 u^2), for 0 < equator <= pole.
+fn mean_stretch(equator: f64, pole: f64) -> f64 {
+    let x = ((pole / equator).powi(2) - 1.0).max(0.0).sqrt();
+    // asinh(x) / x = 1 - x^2 / 6 + ...: to f64 precision 1 below.
+    let ratio = if x < 1e-8 { 1.0 } else { x.asinh() / x };
+    0.5 * (pole + equator * ratio)
 }
 
 /// The part of the unit sphere visible from `o`, as a cone of directions.

@@ -158,6 +158,9 @@ def special_shape_cases() -> list[Case]:
         ),
         Case("CylinderLight-elliptic", area("CylinderLight", scale(1, 2.5, 0.6) @ ABOVE, normalize=True)),
         Case("CylinderLight-end-on", area("CylinderLight", turn((0, 1, 0), 80.0) @ ABOVE), cells=4),
+        Case(
+            "SphereLight-needle", area("SphereLight", scale(2.4, 0.2, 0.2) @ TILTED, normalize=True), cells=4
+        ),
         Case("RectLight-up-Y", area("RectLight", DOWN @ turn((1, 0, 0), 20.0) @ move(0.2, 1.5, 0.3)), up="Y"),
         Case("SphereLight-up-Y", area("SphereLight", move(0.2, 1.2, 0.5)), up="Y"),
     ]
@@ -252,7 +255,7 @@ def distant_cases() -> list[Case]:
 
 def dome_cases() -> list[Case]:
     turned = turn((0.3, 1, 0.5), 75.0)
-    spot, map_ = bright_texel(9, 13), quadrants(32, 64)
+    spot, map_ = bright_texel(19, 54), quadrants(32, 64)
     plain = {"intensity": 0.7, "normalize": True, "color": (1.0, 0.6, 0.3)}
     cases = [Case("DomeLight-plain", Light("DomeLight", plain), slope=0.7)]
     for up in "YZ":
@@ -262,15 +265,16 @@ def dome_cases() -> list[Case]:
         ]
         for axis in ("scene", "Y", "Z"):
             pole = up if axis == "scene" else axis
-            for name, texture, matrix in (("texel", spot, np.eye(4)), ("map-turned", map_, turned)):
-                light = Light("DomeLight_1", {"poleAxis": axis}, matrix, texture=texture, pole=pole)
-                cases.append(mapped(f"DomeLight_1-{axis}-{name}-up-{up}", light, up))
+            light = Light("DomeLight_1", {"poleAxis": axis}, texture=spot, pole=pole)
+            cases.append(mapped(f"DomeLight_1-{axis}-texel-up-{up}", light, up))
+        light = Light("DomeLight_1", {}, turned, texture=map_, pole=up)
+        cases.append(mapped(f"DomeLight_1-scene-map-turned-up-{up}", light, up))
     mirrored = Light("DomeLight", {}, scale(-1, 1, 1) @ turned, texture=map_)
     return [*cases, mapped("DomeLight-mirrored", mirrored, "Y")]
 
 
 def mapped(name: str, light: Light, up: str) -> Case:
-    return Case(name, light, slope=0.7, up=up, samples=3072)
+    return Case(name, light, slope=0.7, up=up, samples=4096)
 
 
 def texture_cases() -> list[Case]:
