@@ -32,8 +32,8 @@ def scene_dicts(flat: FlatStage, folder: Path) -> list[Fields]:
     Lights are visible to the camera, the dome included: `visibility:camera` must be on.
     Meshes are written to `folder` as PLY files. Raises ValueError for whatever has no equivalent.
     """
-    # Roulette from the 65th scattering on: earlier it only adds noise.
-    integrator = {"type": "volpathmis", "max_depth": -1, "rr_depth": 64, "hide_emitters": False}
+    # Roulette later than the default 5: it ends long walks without most of its noise.
+    integrator = {"type": "volpathmis", "max_depth": -1, "rr_depth": 16, "hide_emitters": False}
     common: Fields = {"type": "scene", "integrator": integrator, "sensor": sensor(flat)}
     lights = []
     for number, (path, prim) in enumerate(flat.prims.items()):

@@ -3,8 +3,20 @@
 The body is an L of quads with flat faces, rotated and stretched: light that leaves it may enter again at the notch.
 Single-scattering albedos are given directly, so that no colour inversion enters. Lights are visible to the camera in
 both, so that pixels at the outline and straight views through an index-matched body compare as well.
+
+The rough dielectric has alpha 0.02. The interfaces differ by design where one facet's light meets another: dermis gives
+it back (`Dielectric::compensation`, and its masking is height-correlated), Mitsuba's `roughdielectric` loses it. Its
+loss at eta 1.5, mean over a cosine-weighted hemisphere from outside / inside, by sampling the plugin:
+
+    alpha   0.02         0.04         0.0625       0.09         0.16
+    loss    0.1 / 0.2 %  0.3 / 0.7 %  0.5 / 1.5 %  0.8 / 2.9 %  1.7 / 6.9 %
+
+and light meets the inside about twice. At alpha 0.09 the images of the first scene here differ by 5.9, 3.2 and 1.5 %
+(RGB, the whitest channel most) and by 0.4 +- 0.5 % or less once dermis' compensation is taken out; at 0.02 the expected
+difference, 0.4 % or less, is below the error.
 """
 
+import math
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -13,6 +25,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import stage_of
 from mitsuba_export import scene_dicts
 from numpy.typing import NDArray
 from scipy import stats
@@ -28,15 +41,15 @@ RUNS = 10
 FALSE_ALARM = 0.01
 """Probability that one case fails although both renderers are right."""
 
-PEERS = {"dermis": 96, "mitsuba": 96}
-"""Samples per pixel and run."""
+ALPHA = 0.02
+"""GGX alpha of the rough boundary."""
 
 RECT = """
 def RectLight "Key"
 {
-    float inputs:width = 2
-    float inputs:height = 1.5
-    float inputs:intensity = 3
+    float inputs:width = 4
+    float inputs:height = 3
+    float inputs:intensity = 0.75
     float inputs:exposure = 2
     color3f inputs:color = (1, 0.9, 0.8)
     bool inputs:visibility:camera = 1
@@ -61,8 +74,8 @@ def SphereLight "Lamp"
 DISK = """
 def DiskLight "Rim"
 {
-    float inputs:radius = 1.2
-    float inputs:intensity = 40
+    float inputs:radius = 1.7
+    float inputs:intensity = 30
     bool inputs:normalize = 1
     bool inputs:visibility:camera = 1
     bool inputs:enableColorTemperature = 1
@@ -77,17 +90,19 @@ def DiskLight "Rim"
 
 @dataclass(frozen=True)
 class Case:
+    """`samples`: per pixel and run. Beneath a rough boundary an area light is noisier."""
+
     boundary: str
     g: float
     light: str
-    roughness: float = 0.3
+    samples: int
 
 
 CASES = {
-    "indexMatched": Case("indexMatched", 0.0, RECT),
-    "indexMatched forward": Case("indexMatched", 0.5, SPHERE),
-    "rough dielectric": Case("dielectric", 0.0, RECT),
-    "rough dielectric forward": Case("dielectric", 0.5, DISK),
+    "indexMatched": Case("indexMatched", 0.0, RECT, 48),
+    "indexMatched forward": Case("indexMatched", 0.5, SPHERE, 48),
+    "rough dielectric": Case("dielectric", 0.0, RECT, 112),
+    "rough dielectric forward": Case("dielectric", 0.5, DISK, 144),
 }
 
 
@@ -130,7 +145,7 @@ def Material "Look"
     def Shader "Surface"
     {{
         uniform token info:id = "UsdPreviewSurface"
-        float inputs:roughness = {case.roughness}
+        float inputs:roughness = {math.sqrt(ALPHA)}
         float inputs:ior = 1.5
         float inputs:subsurface = 1
         color3f inputs:subsurfaceRadius = (0.6, 0.4, 0.2)
@@ -184,24 +199,19 @@ class Opinions:
     covered: NDArray[np.bool_]
 
 
-def render_dermis(stage: Any) -> tuple[Images, NDArray[np.bool_]]:
-    images = [
-        dermis.render(stage, samples=PEERS["dermis"], seed=seed, aovs=["depth"]) for seed in range(RUNS)
-    ]
+def render_dermis(stage: Any, samples: int) -> tuple[Images, NDArray[np.bool_]]:
+    images = [dermis.render(stage, samples=samples, seed=seed, aovs=["depth"]) for seed in range(RUNS)]
     colors = np.array([image["color"][..., :3] for image in images], dtype=np.float64)
     return colors, np.any([image["depth"][..., 0] < 1e20 for image in images], axis=0)
 
 
-def render_mitsuba(flat: FlatStage, folder: Path) -> Images:
+def render_mitsuba(flat: FlatStage, folder: Path, samples: int) -> Images:
     """The sum over the lights, with other random numbers for each."""
     scenes = [mi.load_dict(scene) for scene in scene_dicts(flat, folder)]
 
     def image(run: int) -> NDArray[np.float64]:
         seeds = range(run * len(scenes), (run + 1) * len(scenes))
-        images = [
-            mi.render(scene, spp=PEERS["mitsuba"], seed=seed)
-            for scene, seed in zip(scenes, seeds, strict=True)
-        ]
+        images = [mi.render(scene, spp=samples, seed=seed) for scene, seed in zip(scenes, seeds, strict=True)]
         return np.sum([np.array(image, dtype=np.float64) for image in images], axis=0)
 
     return np.array([image(run) for run in range(RUNS)])
@@ -230,13 +240,13 @@ def variant() -> str:
 
 @pytest.fixture(scope="module", params=CASES)
 def opinions(request: Any, variant: str, tmp_path_factory: Any) -> Opinions:
-    from conftest import stage_of
-
-    stage = stage_of(stage_text(CASES[request.param]), 'renderSettingsPrimPath = "/Settings"')
+    case = CASES[request.param]
+    stage = stage_of(stage_text(case), 'renderSettingsPrimPath = "/Settings"')
     flat = flatten(stage)
     assert flat.warnings == []
-    colors, covered = render_dermis(stage)
-    return Opinions(colors, render_mitsuba(flat, tmp_path_factory.mktemp("mitsuba")), covered)
+    colors, covered = render_dermis(stage, case.samples)
+    folder = tmp_path_factory.mktemp("mitsuba")
+    return Opinions(colors, render_mitsuba(flat, folder, case.samples), covered)
 
 
 # Comparison.
@@ -307,10 +317,13 @@ def test_both_renderers_agree(opinions):
     assert comparison.detectable[-1].max() < 0.02, f"too noisy to tell 2 %: {comparison}"
 
 
+@pytest.mark.parametrize("factor", [0.98, 1.02])
 @pytest.mark.parametrize("channel", range(3))
-def test_two_percent_in_a_channel_would_be_seen(opinions, channel):
-    for factor in (0.98, 1.02):
-        wrong = opinions.dermis.copy()
-        wrong[..., channel] *= factor
-        comparison = compare(wrong, opinions.mitsuba, opinions.covered)
-        assert not comparison.agrees, f"channel {channel} times {factor}: {comparison}"
+def test_two_percent_in_a_channel_would_be_seen(opinions, channel, factor):
+    """With the noise of these very images: dermis' are first scaled to Mitsuba's flux, then made wrong."""
+    ours, theirs = (x[:, opinions.covered].mean((0, 1)) for x in (opinions.dermis, opinions.mitsuba))
+    wrong = opinions.dermis * (theirs / ours)
+    assert compare(wrong, opinions.mitsuba, opinions.covered).agrees
+    wrong[..., channel] *= factor
+    comparison = compare(wrong, opinions.mitsuba, opinions.covered)
+    assert not comparison.agrees, f"channel {channel} times {factor}: {comparison}"
