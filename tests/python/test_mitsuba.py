@@ -11,9 +11,15 @@ loss at eta 1.5, mean over a cosine-weighted hemisphere from outside / inside, b
     alpha   0.02         0.04         0.0625       0.09         0.16
     loss    0.1 / 0.2 %  0.3 / 0.7 %  0.5 / 1.5 %  0.8 / 2.9 %  1.7 / 6.9 %
 
-and light meets the inside about twice. At alpha 0.09 the images of the first scene here differ by 5.9, 3.2 and 1.5 %
-(RGB, the whitest channel most) and by 0.4 +- 0.5 % or less once dermis' compensation is taken out; at 0.02 the expected
-difference, 0.4 % or less, is below the error.
+and light meets the inside about twice. Measured on the third case here (RGB, %, errors 0.5 to 0.1):
+
+    alpha 0.09  as it is                             5.9 3.2 1.5   (with a smaller light)
+                dermis without compensation          0.4 0.2 0.0
+    alpha 0.25  dermis without compensation          1.5 1.0 0.5
+                and with separable masking as well   0.5 0.4 0.3
+    alpha 0.02  as it is                             0.7 0.5 0.1
+
+so that at 0.02 what differs by design is below the error.
 """
 
 import math
@@ -101,8 +107,8 @@ class Case:
 CASES = {
     "indexMatched": Case("indexMatched", 0.0, RECT, 48),
     "indexMatched forward": Case("indexMatched", 0.5, SPHERE, 48),
-    "rough dielectric": Case("dielectric", 0.0, RECT, 112),
-    "rough dielectric forward": Case("dielectric", 0.5, DISK, 144),
+    "rough dielectric": Case("dielectric", 0.0, RECT, 96),
+    "rough dielectric forward": Case("dielectric", 0.5, DISK, 80),
 }
 
 
