@@ -11,9 +11,10 @@ loss at eta 1.5, mean over a cosine-weighted hemisphere from outside / inside, b
     alpha   0.02         0.04         0.0625       0.09         0.16
     loss    0.1 / 0.2 %  0.3 / 0.7 %  0.5 / 1.5 %  0.8 / 2.9 %  1.7 / 6.9 %
 
-and light meets the inside about twice. Measured on the third case here (RGB, %, errors 0.5 to 0.1):
+and light meets the inside about twice. Measured on the third case here (RGB, %, errors 0.6 to 0.1;
+the first three rows with a RectLight of a quarter of the area and four times the radiance):
 
-    alpha 0.09  as it is                             5.9 3.2 1.5   (with a smaller light)
+    alpha 0.09  as it is                             5.9 3.2 1.5
                 dermis without compensation          0.4 0.2 0.0
     alpha 0.25  dermis without compensation          1.5 1.0 0.5
                 and with separable masking as well   0.5 0.4 0.3
