@@ -202,9 +202,8 @@ def mesh_field(field, axes, rounds=4, step=0.12):
 def mend_normals(points, triangles, normals):
     """Gradient normals, but those of the mesh at vertices where a triangle would face away from its own: in a
     crease finer than the mesh the field's gradient belongs to the other flank."""
-    cross = np.cross(
-        points[triangles[:, 1]] - points[triangles[:, 0]], points[triangles[:, 2]] - points[triangles[:, 0]]
-    )
+    a, b, c = (points[triangles[:, i]] for i in range(3))
+    cross = np.cross(b - a, c - a)
     smooth = np.zeros_like(points)
     for corner in range(3):
         np.add.at(smooth, triangles[:, corner], cross)

@@ -97,7 +97,7 @@ def tusk(side, shorter=0.0, rings=90, segments=56):
     """A tusk along its spline, grooved lengthwise, its root buried in the gum; the tip may be worn shorter."""
     line = smooth_line(TUSK, rings + 2)
     s = np.linspace(0, 1, rings + 2)
-    end = int(round((rings + 1) * (1 - shorter)))
+    end = round((rings + 1) * (1 - shorter))
     line, s = smooth_line(line[: end + 1], rings + 2), np.linspace(0, s[end], rings + 2)
     radii = smooth_line(np.stack([np.linspace(0, 1, len(TUSK)), TUSK_RADII], 1), 200)
     # An elliptic end, so that tip and root are round and not cones.

@@ -114,7 +114,7 @@ class Walk:
             prim, frame, context, parent = self.open.pop()
             try:
                 self.visit(prim, frame, context, parent)
-            except Exception as error:  # noqa: BLE001 - one bad prim must not cost the picture.
+            except Exception as error:
                 self.reader.warn(prim, f"cannot be read ({error}); it is not rendered")
         self.report_unsupported()
         frames = [self.world, *self.frames.values()]

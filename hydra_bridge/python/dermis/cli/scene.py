@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from dermis.image import AUTO_CAMERA
 from pxr import Sdf, Usd, UsdGeom, UsdRender
 
 from dermis import camera as cameras
 from dermis import hydra, stage
 from dermis._core import CoreError, Delegate
+from dermis.image import AUTO_CAMERA
 
 from . import view
 from .frames import resolve_times
