@@ -83,9 +83,9 @@ def eye_spot(origin, target):
         )
         {{
             color3f inputs:color = (1, 0.95, 0.88)
-            float inputs:intensity = 1500
+            float inputs:intensity = 120
             bool inputs:normalize = 0
-            float inputs:radius = 1.1
+            float inputs:radius = 5
             float inputs:shaping:cone:angle = 2.5
             float inputs:shaping:cone:softness = 0.4
             float inputs:shaping:focus = 0
@@ -148,7 +148,7 @@ def scattering(name, color, mean_free_path, roughness, **more):
 
 
 def wet(name, color):
-    coat = {"clearcoat": ("float", 1), "clearcoatRoughness": ("float", 0.03)}
+    coat = {"clearcoat": ("float", 1), "clearcoatRoughness": ("float", 0.06)}
     return look(name, diffuseColor=("color3f", color), ior=("float", 1.38), roughness=("float", 0.25), **coat)
 
 

@@ -47,8 +47,8 @@ def test_ears_are_thin() -> None:
     for corner in range(3):
         np.add.at(normals, triangles[:, corner], np.cross(b - a, c - a))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    # Beyond 13 cm from the middle there are only ears and, far below, shoulders.
-    ear = np.flatnonzero((np.abs(points[:, 0]) > 13) & (points[:, 1] > -8))
+    # Beyond 10 cm from the middle, above the shoulders, there are only ears.
+    ear = np.flatnonzero((np.abs(points[:, 0]) > 10) & (points[:, 1] > -4))
     assert len(ear) > 1000
     rng = np.random.default_rng(1)
     behind = []

@@ -50,7 +50,7 @@ class Emitter:
     def guarded(self, found: Found, emit: Callable[[], None]) -> None:
         try:
             emit()
-        except Exception as error:
+        except Exception as error:  # one bad prim must not cost the picture
             self.reader.warn(found.prim, f"cannot be read ({error}); it is not rendered")
 
     def prim(self, found: Found, matrices: Matrices, instancer: str) -> None:
@@ -128,7 +128,7 @@ class Emitter:
         if key not in self.prims:
             try:
                 self.prims[key] = flatten_material(prim, self.reader)
-            except Exception as error:
+            except Exception as error:  # as above
                 self.reader.warn(prim, f"cannot be read ({error}); displayColor is used")
                 self.prims[key] = {"type": "Material", "shader": "UsdPreviewSurface"}
         return key

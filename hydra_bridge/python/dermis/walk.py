@@ -114,7 +114,7 @@ class Walk:
             prim, frame, context, parent = self.open.pop()
             try:
                 self.visit(prim, frame, context, parent)
-            except Exception as error:
+            except Exception as error:  # one bad prim must not cost the picture
                 self.reader.warn(prim, f"cannot be read ({error}); it is not rendered")
         self.report_unsupported()
         frames = [self.world, *self.frames.values()]

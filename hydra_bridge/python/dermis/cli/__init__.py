@@ -1,6 +1,7 @@
 """The command line: one module per command, each with NAME, FILES, HELP, `add_arguments` and `run`."""
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 
@@ -20,6 +21,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return args.run(parsers[args.command], args)
     except KeyboardInterrupt:
         return INTERRUPTED
+    except BrokenPipeError:
+        # Whoever read our output (`| head`) has enough; the interpreter's own flush must not complain either.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except (_scene_error(), OutputError) as error:
         print(error, file=sys.stderr)
         return 1

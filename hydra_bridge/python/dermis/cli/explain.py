@@ -43,31 +43,15 @@ def run(parser: argparse.ArgumentParser, args: argparse.Namespace) -> int:
 
 
 def explanation(loaded: Any) -> str:
-    """The core's own account as an indented list, with the warnings of both sides."""
+    """The core's own account: what is on and why, what is off, the counts, the warnings of both sides."""
     report = json.loads(loaded.delegate.explain())
-    dropped = [(entry["prim"], entry["message"]) for entry in report.pop("warnings", [])]
-    report = {"camera": loaded.camera or "framed automatically", **report}
-    warnings = [f"{prim}: {message}" for prim, message in merge(loaded.warnings, dropped)]
-    return "\n".join(outline({**report, "warnings": warnings or "none"}))
-
-
-def outline(value: Any, indent: int = 0) -> list[str]:
-    """JSON as lines of an indented list."""
-    pad = "  " * indent
-    if isinstance(value, dict):
-        lines = []
-        for name, item in value.items():
-            if _is_leaf(item):
-                lines.append(f"{pad}{name}: {format_value(item)}")
-            else:
-                lines += [f"{pad}{name}:", *outline(item, indent + 1)]
-        return lines
-    if isinstance(value, list) and not _is_leaf(value):
-        return [line for item in value for line in outline(item, indent)]
-    return [f"{pad}{format_value(value)}"]
-
-
-def _is_leaf(value: Any) -> bool:
-    if isinstance(value, list):
-        return all(isinstance(item, int | float) for item in value)
-    return not isinstance(value, dict)
+    dropped = [(entry["prim"], entry["message"]) for entry in report.get("warnings", [])]
+    capabilities = report["capabilities"]
+    lines = [f"camera: {loaded.camera or 'framed automatically'}", "on:"]
+    lines += [f"  {entry['capability']}: {entry['why']}" for entry in capabilities if entry["on"]]
+    lines += ["off: " + ", ".join(entry["capability"] for entry in capabilities if not entry["on"]), "needs:"]
+    lines += [f"  {name}: {format_value(value)}" for name, value in report["needs"].items()]
+    warnings = [f"  {prim}: {message}" for prim, message in merge(loaded.warnings, dropped)]
+    return "\n".join(
+        [*lines, *(["dropped or replaced:", *warnings] if warnings else ["dropped or replaced: nothing"])]
+    )

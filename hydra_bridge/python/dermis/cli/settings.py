@@ -92,7 +92,8 @@ def parse_value(text: str, default: Any) -> Any:
     if not isinstance(default, list):
         return text
     items = [item.strip() for item in text.split(",")] if text.strip() else []
-    if default and len(items) != len(default):
+    # Numbers have their places (resolution, window); names are as many as one likes.
+    if default and not isinstance(default[0], str) and len(items) != len(default):
         raise ValueError(f"{len(default)} values were expected, separated by commas")
     return [parse_value(item, default[0] if default else "") for item in items]
 
