@@ -1,0 +1,148 @@
+"""Edits of a stage through the real core: only what is dirty is sent and compiled, the image is a fresh load's."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from pxr import Gf, Usd, UsdGeom
+
+core = pytest.importorskip("dermis._core")
+
+from dermis import hydra  # noqa: E402
+from dermis.stage import flatten  # noqa: E402
+
+STAGE = """#usda 1.0
+(upAxis = "Y")
+def Camera "Cam"
+{
+    float horizontalAperture = 20
+    float verticalAperture = 20
+    float focalLength = 50
+    float2 clippingRange = (0.1, 1000)
+    double3 xformOp:translate = (0, 0, 12)
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+}
+def Sphere "Ball" (prepend apiSchemas = ["MaterialBindingAPI"])
+{
+    double radius = 1
+    double3 xformOp:translate = (-1, 0, 0)
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+    rel material:binding = </Skin>
+}
+def Cube "Box"
+{
+    double size = 1.2
+    color3f[] primvars:displayColor = [(0.2, 0.5, 0.8)]
+    double3 xformOp:translate = (1.2, 0, 0)
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+}
+def Material "Skin"
+{
+    token outputs:surface.connect = </Skin/Surface.outputs:surface>
+    def Shader "Surface"
+    {
+        uniform token info:id = "UsdPreviewSurface"
+        float inputs:subsurface = 1
+        color3f inputs:subsurfaceColor = (0.8, 0.5, 0.4)
+        color3f inputs:subsurfaceRadius = (0.3, 0.1, 0.05)
+        token outputs:surface
+    }
+}
+def SphereLight "Lamp"
+{
+    float inputs:intensity = 60
+    double3 xformOp:translate = (3, 4, 5)
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+}
+"""
+
+SETTINGS = {"camera": "/Cam", "resolution": [24, 24], "samples": 4, "aovs": []}
+
+
+def open_stage() -> Usd.Stage:
+    stage = Usd.Stage.CreateInMemory()
+    stage.GetRootLayer().ImportFromString(STAGE)
+    return stage
+
+
+def image(delegate: core.Delegate) -> tuple[np.ndarray, dict]:
+    delegate.set_settings(json.dumps(SETTINGS))
+    built = json.loads(delegate.commit())
+    delegate.start()
+    assert delegate.wait(120)
+    return delegate.snapshot()["color"], built
+
+
+def move(stage: Usd.Stage) -> None:
+    UsdGeom.XformCommonAPI(stage.GetPrimAtPath("/Ball")).SetTranslate(Gf.Vec3d(-0.6, 0.4, 0.2))
+
+
+def recolour(stage: Usd.Stage) -> None:
+    stage.GetPrimAtPath("/Skin/Surface").GetAttribute("inputs:subsurfaceColor").Set(Gf.Vec3f(0.1, 0.8, 0.3))
+
+
+def reshape(stage: Usd.Stage) -> None:
+    stage.GetPrimAtPath("/Box").GetAttribute("size").Set(1.7)
+
+
+def relight(stage: Usd.Stage) -> None:
+    stage.GetPrimAtPath("/Lamp").GetAttribute("inputs:intensity").Set(20.0)
+
+
+def hide(stage: Usd.Stage) -> None:
+    UsdGeom.Imageable(stage.GetPrimAtPath("/Box")).MakeInvisible()
+
+
+def deactivate(stage: Usd.Stage) -> None:
+    stage.GetPrimAtPath("/Ball").SetActive(False)
+
+
+EDITS = [
+    # edit, prims that are synced again, geometries that it compiles
+    (move, {"/Ball"}, 0),
+    (recolour, {"/Skin"}, 0),
+    (reshape, {"/Box"}, 1),
+    (relight, {"/Lamp"}, 0),
+    (hide, {"/Box"}, 0),
+    (deactivate, set(), 0),  # gone prims are removed, not synced
+]
+
+
+@pytest.mark.parametrize(("edit", "touched", "built"), EDITS, ids=[edit[0].__name__ for edit in EDITS])
+def test_edit_equals_fresh_load(edit: Callable[[Usd.Stage], None], touched: set[str], built: int) -> None:
+    stage = open_stage()
+    delegate = core.Delegate()
+    before = flatten(stage)
+    hydra.populate(delegate, before)
+    first, first_built = image(delegate)
+    assert first_built["blas_built"] == 2
+
+    edit(stage)
+    changed = hydra.populate(delegate, flatten(stage), previous=before)
+    assert set(changed) == touched
+    edited, edited_built = image(delegate)
+    assert edited_built["blas_built"] == built
+
+    fresh = core.Delegate()
+    hydra.populate(fresh, flatten(stage))
+    expected, _ = image(fresh)
+    np.testing.assert_array_equal(edited, expected)
+    assert not np.array_equal(edited, first)
+
+
+def test_edit_stops_a_render_under_way() -> None:
+    delegate = core.Delegate()
+    hydra.populate(delegate, flatten(open_stage()))
+    delegate.set_settings(json.dumps({**SETTINGS, "samples": 1_000_000}))
+    delegate.commit()
+    delegate.start()
+    assert not delegate.wait(0.2)
+    partial = delegate.snapshot()["color"]
+    assert np.isfinite(partial).all()
+    delegate.remove("/Lamp")
+    assert delegate.poll()[1], "an edit ends the render"
+    with pytest.raises(core.CoreError, match="commit"):
+        delegate.start()
