@@ -1,5 +1,6 @@
 //! The classical walk against closed forms and adding-doubling tables.
 
+use dermis::bsdf::fresnel;
 use dermis::math::Rgb;
 use dermis::medium::Medium;
 use dermis::sampling::{cosine_hemisphere, sampler::Sampler};
@@ -62,14 +63,30 @@ struct SlabFluxes {
     transmitted: Estimate,
 }
 
-fn run_slab(medium: &Medium, thickness: f32, diffuse: bool, walks: u32, seed: u32) -> SlabFluxes {
+/// How the slab is lit: by a Lambertian sky or a beam of the given cosine.
+#[derive(Clone, Copy)]
+enum Beam {
+    Diffuse,
+    Cosine(f32),
+}
+
+impl Beam {
+    /// Direction of incidence, z into the slab.
+    fn direction(self, sampler: &mut Sampler) -> Vec3 {
+        match self {
+            Beam::Diffuse => cosine_hemisphere(sampler.next_2d()),
+            Beam::Cosine(mu) => Vec3::new((1.0 - mu * mu).max(0.0).sqrt(), 0.0, mu),
+        }
+    }
+}
+
+fn run_slab(medium: &Medium, thickness: f32, beam: Beam, walks: u32, seed: u32) -> SlabFluxes {
     let slab = Slab { thickness };
     let (mut reflected, mut transmitted) = (Estimate::default(), Estimate::default());
     let mut stats = WalkStats::default();
     for i in 0..walks {
         let mut sampler = Sampler::new(seed, i >> 12, i & 4095);
-        let u = sampler.next_2d();
-        let d = if diffuse { cosine_hemisphere(u) } else { Vec3::Z };
+        let d = beam.direction(&mut sampler);
         let start = Start { p: Vec3::ZERO, d, normal: -Vec3::Z, hit: true, weight: Rgb::ONE };
         let end = walk(&slab, medium, start, &mut sampler, &mut stats, |_, _| ());
         let (r, t) = match end {
@@ -90,7 +107,7 @@ struct Row {
     eta: f32,
     alpha: f32,
     tau: f32,
-    diffuse: bool,
+    beam: Beam,
     r: f64,
     t: f64,
 }
@@ -110,7 +127,7 @@ fn reference_rows() -> Option<Vec<Row>> {
             eta: number(1) as f32,
             alpha: number(2) as f32,
             tau: number(3) as f32,
-            diffuse: cell[4] == "diffuse",
+            beam: if cell[4] == "diffuse" { Beam::Diffuse } else { Beam::Cosine(1.0) },
             r: number(7),
             t: number(8),
         }
@@ -123,6 +140,90 @@ fn z_limit(tests: usize) -> f64 {
     (2.0 * (2.0 * tests as f64 / 1e-3).ln()).sqrt()
 }
 
+/// Light through a slab whose faces are smooth dielectrics: a walk starts anew at every internal reflection,
+/// as in the integrator. Fluxes per unit incident flux, R with the first reflection.
+fn run_dielectric_slab(medium: &Medium, row: &Row, walks: u32, seed: u32) -> SlabFluxes {
+    let slab = Slab { thickness: row.tau };
+    let (mut reflected, mut transmitted) = (Estimate::default(), Estimate::default());
+    let mut stats = WalkStats::default();
+    for i in 0..walks {
+        let mut sampler = Sampler::new(seed, i >> 12, i & 4095);
+        let d = row.beam.direction(&mut sampler);
+        let (at_top, weight) = pass_dielectric(&slab, medium, row.eta, d, &mut sampler, &mut stats);
+        reflected.add(if at_top { weight } else { Rgb::ZERO });
+        transmitted.add(if at_top { Rgb::ZERO } else { weight });
+    }
+    SlabFluxes { reflected, transmitted }
+}
+
+/// One path: which face it leaves by (true: the lit one), and what it carries.
+fn pass_dielectric(
+    slab: &Slab,
+    medium: &Medium,
+    eta: f32,
+    d: Vec3,
+    sampler: &mut Sampler,
+    stats: &mut WalkStats,
+) -> (bool, Rgb) {
+    if sampler.random() < fresnel::dielectric(d.z, eta) {
+        return (true, Rgb::ONE);
+    }
+    let inside = fresnel::refract(-d, -Vec3::Z, eta).expect("light always gets into the denser medium");
+    let mut start = Start { p: Vec3::ZERO, d: inside, normal: -Vec3::Z, hit: true, weight: Rgb::ONE };
+    loop {
+        let WalkEnd::Boundary { hit, p, d, weight, .. } = walk(slab, medium, start, sampler, stats, |_, _| ()) else {
+            return (true, Rgb::ZERO);
+        };
+        if sampler.random() >= fresnel::dielectric(d.z.abs(), 1.0 / eta) {
+            return (hit, weight);
+        }
+        let normal = if hit { -Vec3::Z } else { Vec3::Z };
+        start = Start { p, d: Vec3::new(d.x, d.y, -d.z), normal, hit, weight };
+    }
+}
+
+#[test]
+fn dielectric_slabs_match_adding_doubling() {
+    let Some(rows) = reference_rows() else { return };
+    let rows: Vec<Row> = rows.into_iter().filter(|r| r.eta > 1.0 && r.tau <= 5.0 && r.alpha >= 0.5).collect();
+    assert!(rows.len() > 300);
+    let limit = z_limit(2 * rows.len());
+    for (i, row) in rows.iter().enumerate() {
+        let medium = Medium { sigma_t: Rgb::ONE, albedo: Rgb::splat(row.alpha), g: row.g };
+        let fluxes = run_dielectric_slab(&medium, row, 20_000, i as u32);
+        for (estimate, expected) in [(fluxes.reflected, row.r), (fluxes.transmitted, row.t)] {
+            let z = estimate.z(expected);
+            let (g, eta, alpha, tau) = (row.g, row.eta, row.alpha, row.tau);
+            assert!(z.abs() < limit, "g {g} eta {eta} alpha {alpha} tau {tau}: {} z {z:.2}", estimate.mean().x);
+        }
+    }
+}
+
+/// Directional-hemispherical albedo of a half-space is 1 - H(mu) sqrt(1 - albedo) (Chandrasekhar 1960).
+#[test]
+fn half_spaces_match_chandrasekhar() {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/reference/reference_H.csv");
+    let Ok(text) = std::fs::read_to_string(&file) else {
+        eprintln!("skipped: {} is absent", file.display());
+        return;
+    };
+    let numbers = |line: &str| -> Vec<f64> { line.split(',').filter_map(|cell| cell.parse().ok()).collect() };
+    let table: Vec<&str> = text.lines().filter(|line| !line.starts_with('#')).collect();
+    let albedos = numbers(table[0]);
+    let rows: Vec<Vec<f64>> = table[1..].iter().map(|line| numbers(line)).filter(|row| row[0] > 0.0).collect();
+    let limit = z_limit(rows.len() * albedos.len());
+    for (i, row) in rows.iter().enumerate() {
+        // 60 mean free paths are a half-space up to albedo .99, whose diffusion length is 5.8.
+        for (albedo, h) in albedos.iter().zip(&row[1..]).filter(|(albedo, _)| **albedo <= 0.99) {
+            let medium = Medium { sigma_t: Rgb::ONE, albedo: Rgb::splat(*albedo as f32), g: 0.0 };
+            let fluxes = run_slab(&medium, 60.0, Beam::Cosine(row[0] as f32), 20_000, i as u32);
+            let expected = 1.0 - h * (1.0 - albedo).sqrt();
+            let z = fluxes.reflected.z(expected);
+            assert!(z.abs() < limit, "albedo {albedo} mu {}: {} of {expected}", row[0], fluxes.reflected.mean().x);
+        }
+    }
+}
+
 #[test]
 fn index_matched_slabs_match_adding_doubling() {
     let Some(rows) = reference_rows() else { return };
@@ -132,7 +233,7 @@ fn index_matched_slabs_match_adding_doubling() {
     let mut worst = 0.0_f64;
     for (i, row) in rows.iter().enumerate() {
         let medium = Medium { sigma_t: Rgb::ONE, albedo: Rgb::splat(row.alpha), g: row.g };
-        let fluxes = run_slab(&medium, row.tau, row.diffuse, 60_000, i as u32);
+        let fluxes = run_slab(&medium, row.tau, row.beam, 40_000, i as u32);
         for (estimate, expected) in [(fluxes.reflected, row.r), (fluxes.transmitted, row.t)] {
             let z = estimate.z(expected);
             worst = worst.max(z.abs());
@@ -147,11 +248,11 @@ fn index_matched_slabs_match_adding_doubling() {
 #[test]
 fn spectral_mixture_has_the_means_of_its_channels() {
     let rgb = Medium { sigma_t: Rgb::new(0.5, 5.0, 50.0), albedo: Rgb::new(0.99, 0.8, 0.0), g: 0.0 };
-    let together = run_slab(&rgb, 1.0, true, 400_000, 7);
+    let together = run_slab(&rgb, 1.0, Beam::Diffuse, 400_000, 7);
     for channel in 0..3 {
         let alone =
             Medium { sigma_t: Rgb::splat(rgb.sigma_t[channel]), albedo: Rgb::splat(rgb.albedo[channel]), g: 0.0 };
-        let alone = run_slab(&alone, 1.0, true, 400_000, 8);
+        let alone = run_slab(&alone, 1.0, Beam::Diffuse, 400_000, 8);
         for (a, b) in [(together.reflected, alone.reflected), (together.transmitted, alone.transmitted)] {
             let variance = |e: Estimate| ((e.squares / e.n - e.mean() * e.mean()) / e.n)[channel];
             let sigma = (variance(a) + variance(b) + 1e-18).sqrt();
