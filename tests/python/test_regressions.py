@@ -79,3 +79,14 @@ def test_a_camera_inside_of_a_medium_is_said(tmp_path: Path, capsys):
     file.write_text("#usda 1.0\n" + CAMERA_IN_WAX + LIGHT)
     assert main(["record", str(file), str(tmp_path / "a.exr"), "-w", "8", "--samples", "4"]) == 0
     assert "subsurface walks leaked and ended black" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("flag", ["--stats", "--displayImage"])
+def test_two_outputs_of_one_name_are_a_usage_error(make_stage, tmp_path: Path, flag, capsys):
+    """The statistics replaced the image, with exit code 0."""
+    file, image = str(tmp_path / "card.usda"), str(tmp_path / "a.png")
+    make_stage(CARD).Export(file)
+    with pytest.raises(SystemExit) as left:
+        main(["record", file, image, "-w", "8", "--samples", "1", flag, image])
+    assert left.value.code == 2 and "must be different files" in capsys.readouterr().err
+    assert not Path(image).exists()
