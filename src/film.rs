@@ -240,7 +240,8 @@ impl Film {
             planes.push(self.plane("variance", 3, |t, i| {
                 // One sample knows nothing of its variance: 0 rather than an infinity in the file.
                 let v = if t.samples[i] < 2 { DVec3::ZERO } else { t.mean_variance(i) * scale };
-                rgb(v.as_vec3())
+                // Squares of radiances above 1e19 leave single precision: its largest number, not an infinity.
+                rgb(v.min(DVec3::splat(f64::from(f32::MAX))).as_vec3())
             }));
         }
         planes.retain(|plane| plane.name == "color" || self.aovs.iter().any(|aov| aov == plane.name));
@@ -294,5 +295,17 @@ mod tests {
             ["color", "depth", "direct", "subsurface", "variance"]
         );
         assert_eq!(film.samples_per_pixel(), 2.0);
+    }
+
+    #[test]
+    fn variance_beyond_single_precision_is_finite() {
+        let film = Film::new(DataWindow { x0: 0, y0: 0, x1: 1, y1: 1 }, &["variance".into()], false, 1.0);
+        for value in [0.0, 1e30] {
+            let sample = Sample { direct: Rgb::splat(value), alpha: 1.0, ..Sample::BLACK };
+            film.tiles[0].lock().unwrap().add(0, &sample);
+        }
+        let planes = film.resolve();
+        assert_eq!(planes[1].name, "variance");
+        assert_eq!(planes[1].values[0], f32::MAX);
     }
 }

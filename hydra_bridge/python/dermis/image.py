@@ -18,6 +18,7 @@ from .stage import (
     find_camera,
     first_time,
     flatten,
+    is_camera,
     open_stage,
 )
 
@@ -91,7 +92,7 @@ def render(
 def ensure_camera(stage: Usd.Stage, time: Any, flat: FlatStage, settings: dict[str, Any]) -> None:
     """Settles camera and resolution in `flat`: those given, those authored, else usdrecord's defaults."""
     path = settings.get("camera") or flat.settings.get("camera", "")
-    if path not in flat.prims:
+    if not is_camera(flat.prims, path):
         code = first_time(stage) if time is None else Usd.TimeCode(time)
         camera = find_camera(stage, path)
         path = str(camera.GetPath()) if camera else AUTO_CAMERA

@@ -145,7 +145,7 @@ def first_time(stage: Usd.Stage) -> Usd.TimeCode:
 
 def add_camera(stage: Usd.Stage, path: str, flat: FlatStage, reader: Reader) -> None:
     """Makes sure that the render camera is among the prims, or drops it from the settings with a warning."""
-    if not path or path in flat.prims:
+    if not path or is_camera(flat.prims, path):
         return
     camera = find_camera(stage, path)
     if camera:
@@ -154,6 +154,10 @@ def add_camera(stage: Usd.Stage, path: str, flat: FlatStage, reader: Reader) -> 
     reader.warn(path, "camera: there is no such camera; it is ignored")
     if flat.settings.get("camera") == path:
         del flat.settings["camera"]
+
+
+def is_camera(prims: dict[str, Prim], path: str) -> bool:
+    return path in prims and prims[path]["type"] == "Camera"
 
 
 def stage_info(stage: Usd.Stage, time: Usd.TimeCode, reader: Reader) -> dict[str, Any]:

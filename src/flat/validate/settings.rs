@@ -8,6 +8,12 @@ use crate::{
 /// Pixels per side: above it the AOVs of one image fill the memory of any machine.
 const LARGEST_RESOLUTION: u32 = 1 << 16;
 
+/// Above it no machine has the cores, and starting the threads alone takes minutes.
+const MOST_THREADS: u32 = 4096;
+
+/// Seconds, a thousand years: far below what `Duration` holds.
+const LONGEST_TIME_LIMIT: f32 = 3e10;
+
 const POLICIES: [&str; 5] =
     ["expandAperture", "cropAperture", "adjustApertureWidth", "adjustApertureHeight", "adjustPixelAspectRatio"];
 const WALKS: [&str; 2] = ["auto", "classical"];
@@ -32,9 +38,12 @@ impl RenderSettings {
         if self.samples == 0 || self.sample_offset.checked_add(self.samples).is_none() {
             return refuse("samples", self.samples, "1 or more, which with sampleOffset stay below 2^32");
         }
-        // Not `< 0.0`, which NaN passes.
-        if !(self.time_limit >= 0.0 && self.time_limit.is_finite()) {
-            return refuse("timeLimit", self.time_limit, "seconds, 0 for no limit");
+        if self.threads > MOST_THREADS {
+            return refuse("threads", self.threads, "0 for all cores, at most 4096");
+        }
+        // A range, which NaN is not in.
+        if !(0.0..=LONGEST_TIME_LIMIT).contains(&self.time_limit) {
+            return refuse("timeLimit", self.time_limit, "seconds up to 3e10, 0 for no limit");
         }
         if !(self.noise_threshold >= 0.0 && self.noise_threshold.is_finite()) {
             return refuse("noiseThreshold", self.noise_threshold, "a relative error, 0 for none");

@@ -311,7 +311,7 @@ fn textures() {
 #[test]
 fn settings_are_refused_not_guessed() {
     type Edit = fn(&mut RenderSettings);
-    let cases: [(&str, Edit); 12] = [
+    let cases: [(&str, Edit); 14] = [
         ("resolution is 0 x 540", |s| s.resolution[0] = 0),
         ("resolution is 960 x 100000", |s| s.resolution[1] = 100_000),
         ("samples is 0", |s| s.samples = 0),
@@ -322,6 +322,8 @@ fn settings_are_refused_not_guessed() {
         ("dataWindowNDC is [0.0, 0.0, 1000.0", |s| s.data_window_ndc[2] = 1000.0),
         ("pixelAspectRatio is 0", |s| s.pixel_aspect_ratio = 0.0),
         ("timeLimit is NaN", |s| s.time_limit = f32::NAN),
+        ("timeLimit is 1000000000000000000000000000000", |s| s.time_limit = 1e30),
+        ("threads is 100000", |s| s.threads = 100_000),
         ("noiseThreshold is -1", |s| s.noise_threshold = -1.0),
         ("aovs is \"Z\"; give alpha, depth", |s| s.aovs.push("Z".into())),
     ];

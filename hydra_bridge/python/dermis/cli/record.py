@@ -46,9 +46,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(parser: argparse.ArgumentParser, args: argparse.Namespace) -> int:
     """Exit code: 0 done, 1 a frame failed, 130 interrupted; usage errors leave through `parser`."""
+    refuse_one_file_twice(parser, args)
     transform = display_transform(parser, args)
     with diagnostics.recording(args):
         return Recorder(parser, args, transform).record()
+
+
+def refuse_one_file_twice(parser: argparse.ArgumentParser, args: argparse.Namespace) -> None:
+    """Outputs of one name would replace each other; only the last would be left."""
+    named = [path for path in (args.outputImagePath, args.displayImage, args.stats) if path]
+    if len({Path(path).absolute() for path in named}) < len(named):
+        parser.error("OUTPUT, --displayImage and --stats must be different files")
 
 
 def display_transform(parser: argparse.ArgumentParser, args: argparse.Namespace) -> color.DisplayTransform:

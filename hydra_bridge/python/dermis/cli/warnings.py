@@ -7,6 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+#: Shares of the walks that may be lost before it is said: leaks through a crack or two are common and
+#: invisible; the safety nets are meant never to be reached.
+LEAKED_SHARE, ENDED_SHARE = 1e-2, 1e-3
+
 #: (prim, message)
 Warning = tuple[str, str]
 
@@ -43,4 +47,21 @@ def self_check(color: NDArray[np.floating], stats: dict[str, Any]) -> list[Warni
         found.append(("image", "the image has pixels that are not finite"))
     if not np.any(color[..., :3] > 0.0):
         found.append(("image", "the image is all black"))
+    return found + walk_check(stats)
+
+
+def walk_check(stats: dict[str, Any]) -> list[Warning]:
+    """Walks and paths that ended black in numbers that show: the picture is darker than it should be."""
+    walks, paths = int(stats.get("walks", 0)), int(stats.get("rays", {}).get("path", 0))
+    leaked, too_long = int(stats.get("walks_leaked", 0)), int(stats.get("walks_too_long", 0))
+    found: list[Warning] = []
+    if leaked > LEAKED_SHARE * walks:
+        message = (
+            f"{leaked} of {walks} subsurface walks leaked and ended black: "
+            "a mesh with a medium is open or intersects itself, or the camera is inside of one"
+        )
+        found.append(("image", message))
+    if too_long > ENDED_SHARE * walks or int(stats.get("paths_trapped", 0)) > ENDED_SHARE * paths:
+        message = "walks_too_long or paths_trapped in the statistics: light was lost, the picture is too dark"
+        found.append(("image", message))
     return found
