@@ -186,11 +186,13 @@ impl RenderDelegate {
         self.flat.warnings.push(warning);
     }
 
-    /// Every warning once: of the bridge, of validation, of the last commit.
+    /// Every warning once: of the bridge, of validation, of the last commit, of a render that ended early.
     pub fn warnings(&self) -> Vec<Warning> {
         let mut seen = std::collections::BTreeSet::new();
         let all = self.flat.warnings.iter().chain(self.prim_warnings.values().flatten()).chain(&self.commit_warnings);
-        all.filter(|w| seen.insert((&w.prim, &w.message))).cloned().collect()
+        let mut warnings: Vec<Warning> = all.filter(|w| seen.insert((&w.prim, &w.message))).cloned().collect();
+        warnings.extend(self.pass.as_ref().and_then(Pass::unfinished));
+        warnings
     }
 
     /// Compiles what is dirty. A no-op where nothing is.
@@ -244,7 +246,7 @@ impl RenderDelegate {
             .num_threads(settings.threads as usize)
             .build()
             .map_err(|e| Error::Other(format!("threads: {e}")))?;
-        let film = Arc::new(film_for(&scene, &settings));
+        let film = Arc::new(film_for(&scene, &settings)?);
         let progress = Arc::new(Progress::default());
         let (film_of_thread, progress_of_thread) = (film.clone(), progress.clone());
         let thread = std::thread::spawn(move || {
@@ -328,7 +330,8 @@ impl RenderDelegate {
             pixel_aspect_ratio: self.flat.settings.pixel_aspect_ratio,
         };
         let planes = pass.film.resolve();
-        let layers = planes.into_iter().map(layer).collect();
+        // Alpha is the beauty's fourth channel already.
+        let layers = planes.into_iter().filter(|plane| plane.name != "alpha").map(layer).collect();
         write_exr(file, &frame, layers, &self.header(attributes))
     }
 
@@ -375,6 +378,13 @@ impl Pass {
         })?;
         self.seconds = Some(seconds);
         Ok(())
+    }
+
+    /// A render that is over but left pixels black.
+    fn unfinished(&self) -> Option<Warning> {
+        let pixels = if self.thread.is_none() { self.film.unsampled_pixels() } else { 0 };
+        let message = format!("timeLimit: it ended the first pass, {pixels} pixels have no sample and are black");
+        (pixels > 0).then(|| Warning::new("render settings", message))
     }
 
     fn render_seconds(&self) -> f64 {

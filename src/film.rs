@@ -1,6 +1,7 @@
 //! The film: per-pixel sums of what samples brought, kept in tiles so that threads never share a pixel.
 
 use crate::camera::DataWindow;
+use crate::error::{Error, Result};
 use crate::math::Rgb;
 use glam::{DVec3, Vec3};
 use std::sync::Mutex;
@@ -149,6 +150,25 @@ impl Tile {
     }
 }
 
+/// Asks for the film's memory once, whole, so that an image that is too large is an error and not an abort.
+fn check_memory(data_window: DataWindow, planes: Planes) -> Result<()> {
+    let on = |wanted: bool, bytes: usize| if wanted { bytes } else { 0 };
+    let per_pixel = size_of::<DVec3>()
+        + 2 * size_of::<f32>()
+        + on(planes.variance, size_of::<DVec3>())
+        + on(planes.buckets, size_of::<[Rgb; 3]>())
+        + on(planes.albedo, size_of::<Rgb>())
+        + on(planes.geometry, size_of::<FirstHit>());
+    let (width, height) = (data_window.width(), data_window.height());
+    let bytes = width as usize * height as usize * per_pixel;
+    Vec::<u8>::new().try_reserve_exact(bytes).map_err(|_| {
+        let gib = bytes as f64 / f64::from(1 << 30);
+        Error::Other(format!(
+            "resolution: {width} x {height} pixels need {gib:.1} GiB of memory: render crops, or fewer AOVs"
+        ))
+    })
+}
+
 /// A resolved AOV: `channels` interleaved, rows top down, over the data window.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plane {
@@ -170,9 +190,13 @@ pub struct Film {
 
 impl Film {
     /// `noise`: keep second moments even if no AOV shows them.
-    pub fn new(data_window: DataWindow, aovs: &[String], noise: bool, exposure: f32) -> Self {
+    ///
+    /// # Errors
+    /// Where the memory for the planes is not to be had.
+    pub fn new(data_window: DataWindow, aovs: &[String], noise: bool, exposure: f32) -> Result<Self> {
         let mut planes = Planes::from_names(aovs);
         planes.variance |= noise;
+        check_memory(data_window, planes)?;
         let mut tiles = Vec::new();
         for y0 in (data_window.y0..data_window.y1).step_by(TILE as usize) {
             for x0 in (data_window.x0..data_window.x1).step_by(TILE as usize) {
@@ -180,7 +204,7 @@ impl Film {
                 tiles.push(Mutex::new(Tile::new(x0, y0, width, height, planes)));
             }
         }
-        Self { data_window, planes, aovs: aovs.to_vec(), tiles, exposure }
+        Ok(Self { data_window, planes, aovs: aovs.to_vec(), tiles, exposure })
     }
 
     /// Calls `f` with every tile in order.
@@ -196,6 +220,13 @@ impl Film {
         let mut sum = 0_u64;
         self.for_each_tile(|tile| sum += tile.samples.iter().map(|&n| u64::from(n)).sum::<u64>());
         sum as f64 / (f64::from(self.data_window.width()) * f64::from(self.data_window.height()))
+    }
+
+    /// Pixels that a time limit or a stop left without any sample.
+    pub fn unsampled_pixels(&self) -> u64 {
+        let mut count = 0;
+        self.for_each_tile(|tile| count += tile.samples.iter().filter(|&&n| n == 0).count() as u64);
+        count
     }
 
     /// Root of (mean variance of the pixel means) over (mean square of the pixels): the relative RMS error
@@ -219,6 +250,7 @@ impl Film {
             let c = t.color[i] / n * f64::from(self.exposure);
             [c.x as f32, c.y as f32, c.z as f32, t.alpha[i] / n as f32]
         })];
+        planes.push(self.plane("alpha", 1, |t, i| [t.alpha[i] / t.samples[i].max(1) as f32, 0.0, 0.0, 0.0]));
         let rgb = |c: Rgb| [c.x, c.y, c.z, 0.0];
         let mean = |t: &Tile, i: usize, c: Rgb| c / t.samples[i].max(1) as f32;
         if self.planes.geometry {
@@ -271,7 +303,7 @@ mod tests {
     fn planes_resolve_to_means_at_their_pixels() {
         let window = DataWindow { x0: 3, y0: 5, x1: 40, y1: 27 };
         let aovs = ["depth", "direct", "subsurface", "variance"].map(String::from);
-        let film = Film::new(window, &aovs, false, 2.0);
+        let film = Film::new(window, &aovs, false, 2.0).expect("memory");
         for tile in &film.tiles {
             let mut tile = tile.lock().unwrap();
             for i in 0..tile.samples.len() {
@@ -299,7 +331,8 @@ mod tests {
 
     #[test]
     fn variance_beyond_single_precision_is_finite() {
-        let film = Film::new(DataWindow { x0: 0, y0: 0, x1: 1, y1: 1 }, &["variance".into()], false, 1.0);
+        let film =
+            Film::new(DataWindow { x0: 0, y0: 0, x1: 1, y1: 1 }, &["variance".into()], false, 1.0).expect("memory");
         for value in [0.0, 1e30] {
             let sample = Sample { direct: Rgb::splat(value), alpha: 1.0, ..Sample::BLACK };
             film.tiles[0].lock().unwrap().add(0, &sample);

@@ -1,5 +1,6 @@
 //! Rendering: passes over the tiles of the film until samples, time or noise say stop.
 
+use crate::error::Result;
 use crate::film::{Film, Tile};
 use crate::flat::RenderSettings;
 use crate::integrator::{PathSettings, PathStats, trace};
@@ -54,7 +55,7 @@ impl Progress {
 }
 
 /// The film that `render` fills.
-pub fn film_for(scene: &Scene, settings: &RenderSettings) -> Film {
+pub fn film_for(scene: &Scene, settings: &RenderSettings) -> Result<Film> {
     let noise = settings.noise_threshold > 0.0;
     Film::new(scene.camera.data_window, &settings.aovs, noise, scene.camera.exposure)
 }
@@ -64,13 +65,11 @@ pub fn film_for(scene: &Scene, settings: &RenderSettings) -> Film {
 pub fn render(scene: &Scene, settings: &RenderSettings, film: &Film, progress: &Progress) {
     let start = Instant::now();
     let limit = (settings.time_limit > 0.0).then(|| Duration::from_secs_f32(settings.time_limit));
+    let out_of_time = || limit.is_some_and(|limit| start.elapsed() >= limit);
     let mut done = 0;
     let mut pass = 1;
     while done < settings.samples && !progress.stopped() {
         let count = pass.min(settings.samples - done);
-        // The first pass is always whole: every pixel gets a sample.
-        let may_end = done > 0;
-        let out_of_time = || may_end && limit.is_some_and(|limit| start.elapsed() >= limit);
         let begin = settings.sample_offset + done;
         let tiles_done = AtomicU64::new(0);
         film.tiles.par_iter().for_each(|tile| {
@@ -91,7 +90,7 @@ pub fn render(scene: &Scene, settings: &RenderSettings, film: &Film, progress: &
         let quiet = settings.noise_threshold > 0.0
             && done >= MIN_NOISE_SAMPLES
             && film.relative_error() < f64::from(settings.noise_threshold);
-        if quiet || limit.is_some_and(|limit| start.elapsed() >= limit) {
+        if quiet || out_of_time() {
             break;
         }
     }

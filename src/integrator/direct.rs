@@ -1,6 +1,7 @@
 //! Light: what a segment meets, and next-event estimation towards what it might have met.
 
-use super::{Bucket, Inside, Path, Previous, add_to};
+use super::nest::{Inside, Nest};
+use super::{Bucket, Path, Previous, add_to};
 use crate::bsdf::{Boundary, Bsdf, Side};
 use crate::interaction::Interaction;
 use crate::light::{LightSample, ShapeHit};
@@ -27,7 +28,7 @@ impl Path<'_> {
             let weight =
                 self.light_weight(light, |p, n| scene.lights.pdf_hit(light, p, n, d, &seen_from(p, o, d, hit)));
             let radiance = scene.lights.radiance_hit(light, d, hit);
-            self.see_light(weight * self.attenuation(hit.t) * radiance);
+            self.see_light(weight * self.inside.transmittance(hit.t) * radiance);
         });
     }
 
@@ -36,7 +37,7 @@ impl Path<'_> {
         let d = self.d;
         for &light in scene.lights.infinite() {
             let weight = self.light_weight(light, |p, n| scene.lights.pdf_escaped(light, p, n, d));
-            self.see_light(weight * self.attenuation(f32::INFINITY) * scene.lights.escaped(light, d));
+            self.see_light(weight * self.inside.transmittance(f32::INFINITY) * scene.lights.escaped(light, d));
         }
     }
 
@@ -75,11 +76,6 @@ impl Path<'_> {
         }
     }
 
-    /// Absorption of the clear dielectric that the segment runs through.
-    fn attenuation(&self, t: f32) -> Rgb {
-        self.inside.and_then(|inside| inside.medium).map_or(Rgb::ONE, |medium| medium.transmittance(t))
-    }
-
     fn see_light(&mut self, light: Rgb) {
         if light == Rgb::ZERO {
             return;
@@ -102,17 +98,16 @@ impl Path<'_> {
         if f == Rgb::ZERO || light.wi.dot(si.ng) <= 0.0 || wi.z <= 0.0 {
             return;
         }
-        let inside = if matches!(si.side, Side::Inside) { None } else { self.inside };
+        let inside = if matches!(si.side, Side::Inside) { self.inside.left(si.instance) } else { self.inside };
         let origin = Some((si.instance, si.triangle));
         let visible = self.shadow(si.origin(light.wi), &light, origin, inside);
         let weight = if light.delta { 1.0 } else { power_heuristic(light.pdf, bsdf.pdf(wi)) };
         self.add(f * visible * light.radiance * (weight / light.pdf));
     }
 
-    fn shadow(&mut self, o: Vec3, light: &LightSample, origin: Origin, inside: Option<Inside>) -> Rgb {
+    fn shadow(&mut self, o: Vec3, light: &LightSample, origin: Origin, inside: Nest) -> Rgb {
         self.stats.shadow_rays += 1;
-        let medium = inside.and_then(|inside| inside.medium.map(|_| inside));
-        transmittance(self.scene, o, light.wi, light.distance * SHORT, origin, medium)
+        transmittance(self.scene, o, light.wi, light.distance * SHORT, origin, inside)
     }
 }
 
@@ -126,7 +121,7 @@ fn seen_from(p: Vec3, o: Vec3, d: Vec3, hit: &ShapeHit) -> ShapeHit {
 #[derive(Clone, Copy)]
 pub(super) struct CollisionLight<'a> {
     pub scene: &'a Scene,
-    pub inside: Inside,
+    pub inside: Nest,
     pub g: f32,
     /// Path throughput per unit of the walk's weight.
     pub scale: f32,
@@ -138,7 +133,7 @@ impl CollisionLight<'_> {
     pub(super) fn add(&self, collision: &Collision, p: Vec3, u_choice: f32, u: Vec2, sample: &mut crate::film::Sample) {
         let Some(light) = self.scene.lights.sample(p, None, u_choice, u) else { return };
         let phase = phase_eval(self.g, collision.d.dot(light.wi));
-        let visible = transmittance(self.scene, p, light.wi, light.distance * SHORT, None, Some(self.inside));
+        let visible = transmittance(self.scene, p, light.wi, light.distance * SHORT, None, self.inside);
         let weight = if light.delta { 1.0 } else { power_heuristic(light.pdf, phase) };
         let light = phase * visible * light.radiance * (weight / light.pdf);
         add_to(sample, self.bucket, self.scale * collision.weight * light);
@@ -146,25 +141,26 @@ impl CollisionLight<'_> {
 }
 
 /// Share of light that reaches along (o, d) from distance `t_max`: 0 or 1 past opaque things, opacity and
-/// index-matched media in between. `inside`: the medium that `o` is in.
-fn transmittance(scene: &Scene, o: Vec3, d: Vec3, t_max: f32, origin: Origin, inside: Option<Inside>) -> Rgb {
-    if !scene.needs.transparency && inside.is_none() {
+/// index-matched media in between. `inside`: the objects around `o`.
+fn transmittance(scene: &Scene, o: Vec3, d: Vec3, t_max: f32, origin: Origin, inside: Nest) -> Rgb {
+    if !scene.needs.transparency && inside.medium().is_none() {
         return if scene.occluded(o, d, t_max, origin) { Rgb::ZERO } else { Rgb::ONE };
     }
     let (mut o, mut left, mut origin, mut inside) = (o, t_max, origin, inside);
     let mut passed = Rgb::ONE;
     for _ in 0..MAX_LAYERS {
         let hit = scene.closest(o, d, left, origin);
-        if let Some(medium) = inside.and_then(|inside| inside.medium) {
-            passed *= medium.transmittance(hit.map_or(left, |hit| hit.t));
-        }
+        passed *= inside.transmittance(hit.map_or(left, |hit| hit.t));
         let Some(hit) = hit else { return passed };
-        let within = inside.is_some_and(|inside| inside.instance == hit.instance);
+        let within = inside.contains(hit.instance);
         let si = scene.interaction(&hit, d, if within { Side::Inside } else { Side::Outside });
         let coating = &scene.surfaces[si.surface as usize];
         match coating.interior.filter(|interior| interior.boundary == Boundary::IndexMatched) {
+            Some(_) if within => inside = inside.left(hit.instance),
             Some(interior) => {
-                inside = (!within).then_some(Inside { instance: hit.instance, medium: Some(interior.medium) });
+                let object = Inside { instance: hit.instance, medium: Some(interior.medium) };
+                let Some(nest) = inside.entered(object) else { return Rgb::ZERO };
+                inside = nest;
             }
             None => passed *= coating.surface.transparency(si.frame.n.dot(d).abs()),
         }

@@ -1,7 +1,8 @@
 //! Passing an object's inside: sub-walks from boundary to boundary until the light gets out.
 
 use super::direct::CollisionLight;
-use super::{Bucket, Inside, Path, Previous};
+use super::nest::Inside;
+use super::{Bucket, Path, Previous};
 use crate::bsdf::{Boundary, Bsdf, Event, Side};
 use crate::interaction::Interaction;
 use crate::math::Rgb;
@@ -63,13 +64,10 @@ impl Path<'_> {
         (scale > 0.0).then_some(())?;
         start.weight = self.throughput / scale;
         // Light reaches collisions straight only where the boundary does not bend it.
-        let light = (interior.boundary == Boundary::IndexMatched).then_some(CollisionLight {
-            scene: self.scene,
-            inside: Inside { instance, medium: Some(*medium) },
-            g: medium.g,
-            scale,
-            bucket: self.bucket,
-        });
+        let matched = interior.boundary == Boundary::IndexMatched;
+        let inside = if matched { self.enter(Inside { instance, medium: Some(*medium) })? } else { self.inside };
+        let light =
+            matched.then_some(CollisionLight { scene: self.scene, inside, g: medium.g, scale, bucket: self.bucket });
         let sample = &mut self.sample;
         let shadow_rays = &mut self.stats.shadow_rays;
         let end = walk(enclosure, medium, start, sampler, &mut self.stats.walk, |collision, sampler| {
@@ -97,7 +95,6 @@ impl Path<'_> {
         let wi = exit.frame.to_world(chosen.wi);
         (wi.dot(exit.ng) > 0.0).then_some(())?;
         self.throughput *= chosen.f / chosen.pdf;
-        self.inside = None;
         self.bounce(exit, wi, chosen.delta, chosen.pdf)?;
         self.roulette(sampler)
     }
@@ -116,7 +113,6 @@ impl Path<'_> {
             Event::Reflect => (!outward).then_some(Some(wi)),
             _ => {
                 outward.then_some(())?;
-                self.inside = None;
                 self.bounce(exit, wi, chosen.delta, chosen.pdf)?;
                 Some(None)
             }

@@ -3,17 +3,18 @@
 
 mod direct;
 mod medium;
+mod nest;
 
 use crate::bsdf::{Boundary, Event, Side};
 use crate::camera::CameraRay;
 use crate::film::{FirstHit, Sample};
 use crate::interaction::Interaction;
 use crate::math::Rgb;
-use crate::medium::Medium;
 use crate::sampling::sampler::Sampler;
 use crate::scene::{Origin, Scene, SurfaceHit};
 use crate::subsurface::walk::WalkStats;
 use glam::Vec3;
+use nest::{Inside, Nest};
 
 /// Counts of one or many paths, for the statistics.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -75,14 +76,6 @@ enum Bucket {
     Subsurface,
 }
 
-/// The dielectric that a segment runs through, if its surface is tracked by the main loop.
-#[derive(Debug, Clone, Copy)]
-struct Inside {
-    instance: u32,
-    /// Beer-Lambert absorption; `None`: clear.
-    medium: Option<Medium>,
-}
-
 struct Path<'a> {
     scene: &'a Scene,
     settings: PathSettings,
@@ -93,7 +86,7 @@ struct Path<'a> {
     crossings: u32,
     bucket: Bucket,
     previous: Previous,
-    inside: Option<Inside>,
+    inside: Nest,
     // The next segment.
     o: Vec3,
     d: Vec3,
@@ -119,7 +112,7 @@ pub fn trace(
         crossings: 0,
         bucket: Bucket::Direct,
         previous: Previous::Camera,
-        inside: None,
+        inside: Nest::OUTSIDE,
         o: ray.o,
         d: ray.d,
         t_max: ray.t_max,
@@ -144,9 +137,7 @@ impl Path<'_> {
             self.meet_infinite_lights();
             return None;
         };
-        if let Some(medium) = self.inside.and_then(|inside| inside.medium) {
-            self.throughput *= medium.transmittance(hit.t);
-        }
+        self.throughput *= self.inside.transmittance(hit.t);
         let si = self.scene.interaction(&hit, self.d, self.side_of(&hit));
         self.meet_surface_emission(&si);
         if self.depth > self.settings.max_depth {
@@ -156,10 +147,7 @@ impl Path<'_> {
     }
 
     fn side_of(&self, hit: &SurfaceHit) -> Side {
-        match self.inside {
-            Some(inside) if inside.instance == hit.instance => Side::Inside,
-            _ => Side::Outside,
-        }
+        if self.inside.contains(hit.instance) { Side::Inside } else { Side::Outside }
     }
 
     /// Next-event estimation and a new direction at a surface.
@@ -221,7 +209,11 @@ impl Path<'_> {
         if entering && interior.is_some_and(|interior| interior.medium.scatters()) {
             return self.enter_medium(hit, si, wi, sampler);
         }
-        self.inside = entering.then(|| Inside { instance: si.instance, medium: interior.map(|i| i.medium) });
+        self.inside = if entering {
+            self.enter(Inside { instance: si.instance, medium: interior.map(|i| i.medium) })?
+        } else {
+            self.inside.left(si.instance)
+        };
         match interior {
             // Shadow rays pass it too, so what MIS knows of the segment's start still holds.
             Some(interior) if interior.boundary == Boundary::IndexMatched => self.pass_through(si),
@@ -232,7 +224,7 @@ impl Path<'_> {
     /// Sets up the next segment along `wi`, sampled at `si`.
     fn bounce(&mut self, si: &Interaction, wi: Vec3, delta: bool, pdf: f32) -> Option<()> {
         self.previous = if delta { Previous::Delta } else { Previous::Sampled { p: si.p, n: Some(si.ng), pdf } };
-        if matches!(si.side, Side::Inside) && self.inside.is_some() {
+        if matches!(si.side, Side::Inside) && self.inside.contains(si.instance) {
             self.cross()?;
         } else {
             self.depth += 1;
@@ -246,6 +238,13 @@ impl Path<'_> {
         self.d = wi;
         self.t_max = f32::INFINITY;
         self.origin = Some((si.instance, si.triangle));
+    }
+
+    /// The objects around the path once it is inside `object` too.
+    fn enter(&mut self, object: Inside) -> Option<Nest> {
+        let nest = self.inside.entered(object);
+        self.stats.trapped += u64::from(nest.is_none());
+        nest
     }
 
     fn cross(&mut self) -> Option<()> {

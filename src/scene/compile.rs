@@ -197,20 +197,25 @@ impl Builder<'_> {
                 self.warnings,
             );
             let interior = surface.interior().map(|i| compile_interior(&i));
-            if interior.is_some() {
-                self.warn_if_open(path, geometry);
+            if let Some(interior) = &interior {
+                self.warn_if_open(path, geometry, interior.medium.scatters());
             }
             self.surfaces.push(Coating { surface, interior });
         }
         first
     }
 
-    fn warn_if_open(&mut self, path: &str, geometry: &Geometry) {
+    fn warn_if_open(&mut self, path: &str, geometry: &Geometry, scatters: bool) {
         let closure = geometry.closure();
         if closure.open_edges > 0 {
+            let lost = if scatters {
+                "walks that leak through the gaps end black (walks_leaked in the statistics)"
+            } else {
+                "what refracts in and does not refract out again keeps 1 / ior^2 of its radiance"
+            };
             let message = format!(
-                "faceVertexIndices: {} edges belong to a single face, so the mesh does not enclose its medium; \
-                 walks that leak through the gaps end (walks_leaked in the statistics): close the mesh",
+                "faceVertexIndices: {} edges belong to a single face, so the mesh does not enclose its medium; {lost}: \
+                 close the mesh",
                 closure.open_edges
             );
             self.warnings.push(Warning::new(path, message));
