@@ -20,6 +20,7 @@ mod preview;
 mod specular;
 mod standard;
 mod surface;
+mod translucent;
 
 pub use interior::{Boundary, Interior, InteriorAlbedo};
 pub use surface::Surface;

@@ -10,10 +10,11 @@ use super::check::Check;
 use super::diffuse::Diffuse;
 use super::fresnel::{Fresnel, f0, modulated_eta};
 use super::ggx::Masking;
-use super::interior::{Boundary, Interior, InteriorAlbedo, subsurface_radius, transmission};
+use super::interior::{Boundary, subsurface_radius};
 use super::layered::{Description, Layered, Medium};
 use super::specular::Specular;
 use super::surface::{Base, Coat, Surface};
+use super::translucent::{self, Shell, Transmission, translucent};
 use crate::flat::OpenPbrSurface;
 use crate::math::Rgb;
 
@@ -64,7 +65,7 @@ fn describe(
     let ratio = ior / (1.0 + (coat_ior - 1.0) * coat_weight);
     let reflecting = if coat_weight > 0.0 { ratio.max(ratio.recip()) } else { ratio };
     let eta = modulated_eta(ior, weight);
-    let (medium, stand_in) = medium(m, eta, alpha, boundary_override, check);
+    let (medium, stand_in) = medium(m, Shell { eta, alpha, boundary: boundary_override }, check);
     Description {
         alpha,
         metalness: check.unit("base_metalness", m.base_metalness, 0.0),
@@ -86,13 +87,7 @@ fn coated_roughness(roughness: f32, coat: f32, weight: f32) -> f32 {
 }
 
 /// The one medium of the material, and the share and colour of what stands in for another.
-fn medium(
-    m: &OpenPbrSurface,
-    eta: f32,
-    alpha: f32,
-    boundary_override: Option<Boundary>,
-    check: &mut Check,
-) -> (Option<Medium>, (f32, Rgb)) {
+fn medium(m: &OpenPbrSurface, shell: Shell, check: &mut Check) -> (Option<Medium>, (f32, Rgb)) {
     let transmission = check.unit("transmission_weight", m.transmission_weight, 0.0);
     let subsurface = check.unit("subsurface_weight", m.subsurface_weight, 0.0);
     let color = check.color("subsurface_color", m.subsurface_color, 0.8);
@@ -101,7 +96,13 @@ fn medium(
         if stand_in.0 > 0.0 {
             check.warn("transmission_weight and subsurface_weight: subsurface is shaded as diffuse beside it".into());
         }
-        return (Some(translucent(m, transmission, eta, alpha, boundary_override, check)), stand_in);
+        let inputs = Transmission {
+            color: m.transmission_color,
+            depth: m.transmission_depth,
+            scatter: m.transmission_scatter,
+            anisotropy: m.transmission_scatter_anisotropy,
+        };
+        return (Some(translucent(inputs, transmission, shell, check)), stand_in);
     }
     if subsurface == 0.0 {
         return (None, (0.0, color));
@@ -113,27 +114,5 @@ fn medium(
     else {
         return (None, stand_in);
     };
-    let boundary = boundary_override.unwrap_or(Boundary::Diffuse);
-    let interior = Interior { boundary, eta, alpha, radius, albedo: InteriorAlbedo::Color(color), g };
-    let medium = Medium { share: subsurface, interior: interior.bounded(boundary), transmit_tint: Rgb::ONE };
-    (Some(medium), (0.0, color))
-}
-
-fn translucent(
-    m: &OpenPbrSurface,
-    share: f32,
-    eta: f32,
-    alpha: f32,
-    boundary_override: Option<Boundary>,
-    check: &mut Check,
-) -> Medium {
-    let color = check.color("transmission_color", m.transmission_color, 1.0);
-    let depth = check.positive("transmission_depth", m.transmission_depth, 0.0);
-    let scatter = check.radiance("transmission_scatter", m.transmission_scatter, Rgb::ZERO);
-    let g = check.anisotropy("transmission_scatter_anisotropy", m.transmission_scatter_anisotropy);
-    let (radius, albedo) = transmission(color, depth, scatter);
-    let transmit_tint = if depth == 0.0 { color } else { Rgb::ONE };
-    let interior = Interior { boundary: Boundary::Dielectric, eta, alpha, radius, albedo, g };
-    let boundary = boundary_override.filter(|_| !interior.is_clear()).unwrap_or(Boundary::Dielectric);
-    Medium { share, interior: interior.bounded(boundary), transmit_tint }
+    (Some(translucent::subsurface(subsurface, color, radius, g, shell)), (0.0, color))
 }

@@ -10,11 +10,12 @@ use super::check::Check;
 use super::diffuse::Diffuse;
 use super::fresnel::{Fresnel, modulated_eta};
 use super::ggx::Masking;
-use super::interior::{Boundary, Interior, InteriorAlbedo, subsurface_radius, transmission};
+use super::interior::{Boundary, subsurface_radius};
 use super::layered::{Description, Layered, Medium};
 use super::openpbr::under_coat;
 use super::specular::Specular;
 use super::surface::{Base, Coat, Surface};
+use super::translucent::{self, Shell, Transmission, translucent};
 use crate::flat::StandardSurface;
 use crate::math::{Rgb, luminance};
 
@@ -48,7 +49,8 @@ fn describe(m: &StandardSurface, boundary_override: Option<Boundary>, check: &mu
     let specular_color = check.color("specular_color", m.specular_color, 1.0);
     let ior = check.ior("specular_IOR", m.specular_ior);
     let base = check.unit("base", m.base, 1.0) * check.color("base_color", m.base_color, 0.8);
-    let (medium, stand_in) = medium(m, modulated_eta(ior, weight), alpha, boundary_override, check);
+    let shell = Shell { eta: modulated_eta(ior, weight), alpha, boundary: boundary_override };
+    let (medium, stand_in) = medium(m, shell, check);
     Description {
         alpha,
         metalness: check.unit("metalness", m.metalness, 0.0),
@@ -64,13 +66,7 @@ fn describe(m: &StandardSurface, boundary_override: Option<Boundary>, check: &mu
 }
 
 /// The one medium of the material, and the share and colour of what stands in for another.
-fn medium(
-    m: &StandardSurface,
-    eta: f32,
-    alpha: f32,
-    boundary_override: Option<Boundary>,
-    check: &mut Check,
-) -> (Option<Medium>, (f32, Rgb)) {
+fn medium(m: &StandardSurface, shell: Shell, check: &mut Check) -> (Option<Medium>, (f32, Rgb)) {
     let transmission = check.unit("transmission", m.transmission, 0.0);
     let subsurface = check.unit("subsurface", m.subsurface, 0.0);
     let color = check.color("subsurface_color", m.subsurface_color, 1.0);
@@ -79,7 +75,13 @@ fn medium(
         if stand_in.0 > 0.0 {
             check.warn("transmission and subsurface: subsurface is shaded as diffuse beside transmission".into());
         }
-        return (Some(translucent(m, transmission, eta, alpha, boundary_override, check)), stand_in);
+        let inputs = Transmission {
+            color: m.transmission_color,
+            depth: m.transmission_depth,
+            scatter: m.transmission_scatter,
+            anisotropy: m.transmission_scatter_anisotropy,
+        };
+        return (Some(translucent(inputs, transmission, shell, check)), stand_in);
     }
     if subsurface == 0.0 {
         return (None, (0.0, color));
@@ -91,27 +93,5 @@ fn medium(
     let Some(radius) = subsurface_radius(radius * scale, name, check) else {
         return (None, stand_in);
     };
-    let boundary = boundary_override.unwrap_or(Boundary::Diffuse);
-    let interior = Interior { boundary, eta, alpha, radius, albedo: InteriorAlbedo::Color(color), g };
-    let medium = Medium { share: subsurface, interior: interior.bounded(boundary), transmit_tint: Rgb::ONE };
-    (Some(medium), (0.0, color))
-}
-
-fn translucent(
-    m: &StandardSurface,
-    share: f32,
-    eta: f32,
-    alpha: f32,
-    boundary_override: Option<Boundary>,
-    check: &mut Check,
-) -> Medium {
-    let color = check.color("transmission_color", m.transmission_color, 1.0);
-    let depth = check.positive("transmission_depth", m.transmission_depth, 0.0);
-    let scatter = check.radiance("transmission_scatter", m.transmission_scatter, Rgb::ZERO);
-    let g = check.anisotropy("transmission_scatter_anisotropy", m.transmission_scatter_anisotropy);
-    let (radius, albedo) = transmission(color, depth, scatter);
-    let transmit_tint = if depth == 0.0 { color } else { Rgb::ONE };
-    let interior = Interior { boundary: Boundary::Dielectric, eta, alpha, radius, albedo, g };
-    let boundary = boundary_override.filter(|_| !interior.is_clear()).unwrap_or(Boundary::Dielectric);
-    Medium { share, interior: interior.bounded(boundary), transmit_tint }
+    (Some(translucent::subsurface(subsurface, color, radius, g, shell)), (0.0, color))
 }

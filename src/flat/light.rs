@@ -19,7 +19,7 @@ pub enum LightShape {
     Distant { angle: f32 },
     /// `texture` as for Rect; latlong. `pole_axis` is `Y` or `Z` (the bridge resolves `scene`).
     Dome { texture: String, pole_axis: String },
-    /// The mesh at `mesh` (a key of `FlatScene::meshes`) emits outward on both its windings.
+    /// The mesh at `mesh` (a key of `FlatScene::meshes`) emits from its outer side.
     Mesh { mesh: String },
 }
 

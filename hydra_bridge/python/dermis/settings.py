@@ -4,6 +4,7 @@ from typing import Any
 
 from pxr import Sdf, Usd, UsdRender
 
+from .aovs import AOVS
 from .reading import Reader
 
 CONFORM_POLICIES = (
@@ -27,19 +28,6 @@ DERMIS_SETTINGS: dict[str, Any] = {
     "lightsVisibleToCamera": False,
 }
 """Custom attributes `dermis:NAME` of the settings prim, with the type each has."""
-
-AOVS = [
-    "alpha",
-    "depth",
-    "normal",
-    "position",
-    "albedo",
-    "primId",
-    "direct",
-    "indirect",
-    "subsurface",
-    "variance",
-]
 
 RAW_SOURCES = {"a": "alpha", "z": "depth", "N": "normal", "P": "position", "Neye": "normal"} | {
     a: a for a in AOVS

@@ -8,21 +8,9 @@ from pathlib import Path
 from typing import TypeVar
 
 from .. import color
+from ..aovs import AOVS
 from . import progress
 
-#: AOVs beside the beauty, as `flat::RenderSettings::aovs` names them.
-AOVS = [
-    "alpha",
-    "depth",
-    "normal",
-    "position",
-    "albedo",
-    "primId",
-    "direct",
-    "indirect",
-    "subsurface",
-    "variance",
-]
 WALKS = ("auto", "classical")
 LATER_WALKS = ("poe", "cp", "ii", "bono", "bill", "mixture", "vpg")
 PURPOSES = ("default", "render", "proxy", "guide")
