@@ -83,9 +83,9 @@ def eye_spot(origin, target):
         )
         {{
             color3f inputs:color = (1, 0.95, 0.88)
-            float inputs:intensity = 120
+            float inputs:intensity = 700
             bool inputs:normalize = 0
-            float inputs:radius = 5
+            float inputs:radius = 3
             float inputs:shaping:cone:angle = 2.5
             float inputs:shaping:cone:softness = 0.4
             float inputs:shaping:focus = 0
@@ -109,7 +109,7 @@ def lights(eye):
             "BackLeft", around(-146, 18, 62), (20, 20), "(0.82, 0.9, 1)", 150, (-12, EYE_HEIGHT + 3, -3)
         ),
         "\n        # Eye spot: a five degree cone on the eye that is nearer to the camera.",
-        eye_spot(around(12, 22, 95), eye),
+        eye_spot(around(8, 9, 95), eye),
     ]
     return "".join(parts)
 
