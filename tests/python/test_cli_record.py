@@ -283,7 +283,27 @@ def test_damaged_file(tmp_path, capsys, name):
     assert names(tmp_path) == [name]
 
 
+def bad_material(authored: str) -> str:
+    """A material with subsurface and the bad line, and a card that wears it."""
+    return (
+        'def Material "Bad"\n{\ntoken outputs:surface.connect = </World/Bad/Surface.outputs:surface>\n'
+        'def Shader "Surface"\n{\nuniform token info:id = "UsdPreviewSurface"\nfloat inputs:subsurface = 1\n'
+        + authored
+        + "\ntoken outputs:surface\n}\n}\n"
+        + CARD.replace("Card", "Worn").replace("{", "{\nrel material:binding = </World/Bad>", 1)
+    )
+
+
 BAD_PRIMS = {
+    "negative radius": bad_material("color3f inputs:subsurfaceRadius = (-1, 0.1, 0.1)"),
+    "nan radius": bad_material("color3f inputs:subsurfaceRadius = (nan, 0.1, 0.1)"),
+    "albedo above 1": bad_material("color3f inputs:subsurfaceAlbedo = (1.5, 0.5, 0.5)"),
+    "nan albedo": bad_material("color3f inputs:subsurfaceAlbedo = (0.5, nan, 0.5)"),
+    "colour above 1": bad_material("color3f inputs:subsurfaceColor = (0.5, 3, 0.5)"),
+    "zero scale": CARD.replace("Card", "Bad").replace(
+        "uniform token sub",
+        'double3 xformOp:scale = (0, 0, 0)\nuniform token[] xformOpOrder = ["xformOp:scale"]\nuniform token sub',
+    ),
     "reference": 'def "Gone" (references = @./gone.usda@) {}',
     "nan points": CARD.replace("(1, 1, 0)", "(nan, 1, 0)").replace("Card", "Bad"),
     "infinite points": CARD.replace("(1, 1, 0)", "(inf, 1, 0)").replace("Card", "Bad"),
