@@ -85,12 +85,4 @@ impl Affine {
     pub fn normal(&self, n: Vec3) -> Vec3 {
         self.inverse.transpose() * n
     }
-
-    pub fn inverse_point(&self, p: Vec3) -> Vec3 {
-        self.inverse * (p - self.translation)
-    }
-
-    pub fn inverse_vector(&self, v: Vec3) -> Vec3 {
-        self.inverse * v
-    }
 }

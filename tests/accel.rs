@@ -271,7 +271,7 @@ fn closest(tlas: &Tlas, blas: &Blas, places: &[Affine], ray: &Ray) -> Option<(f3
 }
 
 fn local(blas: &Blas, place: &Affine, ray: &Ray) -> Option<f32> {
-    let ray = Ray::new(place.inverse_point(ray.o), place.inverse_vector(ray.d), ray.t_max);
+    let ray = Ray::new(place.inverse * (ray.o - place.translation), place.inverse * ray.d, ray.t_max);
     blas.closest(&ray).map(|hit| hit.t)
 }
 

@@ -91,10 +91,6 @@ impl Surface {
         self.presence * self.emission
     }
 
-    pub fn is_emissive(&self) -> bool {
-        self.emission() != Rgb::ZERO
-    }
-
     /// This surface with `color` for its `displayColor`, where that varies over the mesh; `None` where the material
     /// says its own colour (or is a metal or a medium, which take the mesh's constant one).
     pub fn with_display_color(&self, color: Rgb) -> Option<Self> {

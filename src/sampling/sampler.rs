@@ -31,11 +31,6 @@ impl Sampler {
         }
     }
 
-    /// Jumps to a fixed dimension, so that a decision added earlier in a path reshuffles nothing later.
-    pub fn start_dimension(&mut self, dimension: u32) {
-        self.dimension = dimension;
-    }
-
     /// A number in [0, 1).
     pub fn next_1d(&mut self) -> f32 {
         if self.dimension < SOBOL_DIMENSIONS {

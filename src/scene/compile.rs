@@ -206,17 +206,16 @@ impl Builder<'_> {
     }
 
     fn warn_if_open(&mut self, path: &str, geometry: &Geometry, scatters: bool) {
-        let closure = geometry.closure();
-        if closure.open_edges > 0 {
+        let open_edges = geometry.open_edges();
+        if open_edges > 0 {
             let lost = if scatters {
                 "walks that leak through the gaps end black (walks_leaked in the statistics)"
             } else {
                 "what refracts in and does not refract out again keeps 1 / ior^2 of its radiance"
             };
             let message = format!(
-                "faceVertexIndices: {} edges belong to a single face, so the mesh does not enclose its medium; {lost}: \
-                 close the mesh",
-                closure.open_edges
+                "faceVertexIndices: {open_edges} edges belong to a single face, so the mesh does not enclose its medium; {lost}: \
+                 close the mesh"
             );
             self.warnings.push(Warning::new(path, message));
         }

@@ -29,15 +29,6 @@ impl<T: Copy + std::ops::Mul<f32, Output = T> + std::ops::Add<Output = T>> Attri
     }
 }
 
-/// How well a surface closes a volume; found only for meshes with a medium.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Closure {
-    /// Edges (of points welded by position) that do not join exactly two faces.
-    pub open_edges: u32,
-    /// Edges whose two faces wind the same way.
-    pub flipped_edges: u32,
-}
-
 pub struct Geometry {
     /// Object space minus `centre`, so that f32 resolves a mesh far from its origin.
     pub points: Vec<Vec3>,
@@ -98,31 +89,27 @@ impl Geometry {
         self.points.len() * 12 + self.triangles.len() * 12 + self.blas.memory()
     }
 
-    /// Counts edges that keep the mesh from enclosing a volume.
-    pub fn closure(&self) -> Closure {
+    /// Edges (between points welded by position) that do not join faces in pairs: what keeps the mesh from
+    /// enclosing a volume. Asked only for meshes with a medium.
+    pub fn open_edges(&self) -> usize {
         let mut ids = std::collections::HashMap::new();
-        let welded: Vec<u32> = self
+        let welded: Vec<usize> = self
             .points
             .iter()
             .map(|p| {
-                let next = ids.len() as u32;
+                let next = ids.len();
                 // + 0.0 makes -0 and 0 one key.
                 *ids.entry((*p + Vec3::ZERO).to_array().map(f32::to_bits)).or_insert(next)
             })
             .collect();
-        let mut edges = std::collections::HashMap::<(u32, u32), (u32, i32)>::new();
+        let mut faces = std::collections::HashMap::<(usize, usize), u32>::new();
         for triangle in &self.triangles {
             let [a, b, c] = triangle.map(|i| welded[i as usize]);
-            for (i, j) in [(a, b), (b, c), (c, a)] {
-                if i != j {
-                    let edge = edges.entry((i.min(j), i.max(j))).or_default();
-                    edge.0 += 1;
-                    edge.1 += if i < j { 1 } else { -1 };
-                }
+            for (i, j) in [(a, b), (b, c), (c, a)].into_iter().filter(|(i, j)| i != j) {
+                *faces.entry((i.min(j), i.max(j))).or_default() += 1;
             }
         }
-        let count = |f: &dyn Fn(&(u32, i32)) -> bool| edges.values().filter(|e| f(e)).count() as u32;
-        Closure { open_edges: count(&|e| e.0 % 2 != 0), flipped_edges: count(&|e| e.0 % 2 == 0 && e.1 != 0) }
+        faces.values().filter(|count| *count % 2 != 0).count()
     }
 }
 

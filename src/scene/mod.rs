@@ -8,7 +8,7 @@ mod needs;
 
 pub use compile::{CompileStats, GeometryCache, compile};
 pub use enclosure::{BoundaryHit, InstanceEnclosure};
-pub use geometry::{Attribute, Closure, Geometry};
+pub use geometry::{Attribute, Geometry};
 pub use needs::{Explanation, Needs};
 
 use crate::bsdf::{Boundary, Side, Surface};
