@@ -51,3 +51,44 @@ pub fn phase_sample(g: f32, d: Vec3, u: Vec2) -> Vec3 {
     let (sin_phi, cos_phi) = (TAU * u.y).sin_cos();
     Frame::from_normal(d).to_world(Vec3::new(sin_theta * cos_phi, sin_theta * sin_phi, cos_theta))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sampling::sampler::Sampler;
+
+    const BINS: usize = 40;
+
+    /// Integral of the phase function over directions whose cosine lies in a bin, by midpoints.
+    fn bin_share(g: f32, bin: usize) -> f64 {
+        const STEPS: usize = 4000;
+        let width = 2.0 / (BINS * STEPS) as f64;
+        let cos = |i: usize| -1.0 + (bin * STEPS + i) as f64 * width + 0.5 * width;
+        (0..STEPS).map(|i| f64::from(phase_eval(g, cos(i) as f32)) * 2.0 * std::f64::consts::PI * width).sum()
+    }
+
+    /// The density integrates to 1, and directions are drawn from it: chi-square over the cosine.
+    #[test]
+    fn directions_follow_the_phase_function() {
+        let d = Vec3::new(0.48, -0.6, 0.64);
+        for (seed, g) in [-0.9, -0.4, -5e-4, 0.0, 5e-4, 0.5, 0.8, 0.95].into_iter().enumerate() {
+            let shares: Vec<f64> = (0..BINS).map(|bin| bin_share(g, bin)).collect();
+            let total: f64 = shares.iter().sum();
+            assert!((total - 1.0).abs() < 1e-3, "g {g}: the phase function integrates to {total}");
+            let (n, mut counts) = (400_000, [0_u32; BINS]);
+            let mut sampler = Sampler::new(seed as u32, 0, 0);
+            for _ in 0..n {
+                let wi = phase_sample(g, d, Vec2::new(sampler.random(), sampler.random()));
+                let bin = (0.5 * (wi.dot(d) + 1.0) * BINS as f32) as usize;
+                counts[bin.min(BINS - 1)] += 1;
+            }
+            let chi2: f64 = counts
+                .iter()
+                .zip(&shares)
+                .map(|(&count, share)| (f64::from(count) - share * f64::from(n)).powi(2) / (share * f64::from(n)))
+                .sum();
+            // Chi-square with 39 degrees of freedom exceeds 81 with probability 1e-4.
+            assert!(chi2 < 81.0, "g {g}: chi-square {chi2}");
+        }
+    }
+}

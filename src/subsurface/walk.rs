@@ -128,12 +128,13 @@ pub fn walk<E: Enclosure>(
             weight *= boundary_weight(medium, choice, t_boundary);
             return WalkEnd::Boundary { hit, p: p + t_boundary * d, d, weight, scattered };
         }
-        let t = crossing.map_or(t, |(t_boundary, _)| t.min((t_boundary - MARGIN * error).max(0.5 * t)));
-        if !t.is_finite() {
+        // The margin moves the vertex only; its weight is that of the distance which was drawn.
+        let step = crossing.map_or(t, |(t_boundary, _)| t.min((t_boundary - MARGIN * error).max(0.5 * t)));
+        if !step.is_finite() {
             stats.leaked += 1;
             return WalkEnd::Leaked;
         }
-        moved += t * d;
+        moved += step * d;
         p = start.p + moved;
         if !enclosure.bounds_contain(p) {
             stats.leaked += 1;
