@@ -6,6 +6,12 @@ use serde::{Deserialize, Serialize};
 pub const AOVS: [&str; 10] =
     ["alpha", "depth", "normal", "position", "albedo", "primId", "direct", "indirect", "subsurface", "variance"];
 
+/// Guided walks of the literature, the mixture of them, and the choice between it and `classical`.
+pub const WALKS: [&str; 8] = ["auto", "classical", "poe", "cp", "ii", "bono", "bill", "mixture"];
+
+/// With the point of entry's they fill eight lanes.
+pub const MAX_NORMALS: u32 = 7;
+
 /// Settings of one render; `--set NAME=VALUE` takes each of these names.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "camelCase", default, deny_unknown_fields)]
@@ -33,8 +39,29 @@ pub struct RenderSettings {
     pub noise_threshold: f32,
     /// Surface bounces.
     pub max_depth: u32,
-    /// `auto` or `classical`.
+    /// Subsurface walk, one of [`WALKS`].
     pub walk: String,
+    /// `conditional`, `exact`, or `auto`: exact where it exists.
+    pub walk_pdf: String,
+    /// Share of classical walks mixed into guided ones; `mixture` starts from at least its own.
+    pub classical_fraction: f32,
+    /// `dwivedi` or `classical`: how the first distance of a guided walk is drawn. `cp` and `ii` know their normal
+    /// only after it: theirs is classical.
+    pub first_distance: String,
+    /// Clustered slab normals per region beside the point of entry's, at most [`MAX_NORMALS`].
+    pub normals: u32,
+    /// Shares of techniques are learned from the walks.
+    pub learn_shares: bool,
+    /// The technique of a walk is a stratified dimension of its pixel's samples.
+    pub stratify_techniques: bool,
+    /// Densities of the techniques serve as control variates.
+    pub control_variates: bool,
+    /// Lights sampled where a walk comes out: `one`, `all`, `learned` (one, by visible contribution), or `auto`.
+    pub exit_lights: String,
+    /// What fills the boundary cache: `surface` (uniform samples) or `camera` (walks of camera paths).
+    pub cache_fill: String,
+    /// Cells of the boundary cache along the longest side of an object; 0: by mean free path and pixel size.
+    pub cache_resolution: u32,
     /// `auto`, or a boundary for every medium: `diffuse`, `dielectric`, `indexMatched`.
     pub subsurface_boundary: String,
     /// Camera rays see area lights.
@@ -60,6 +87,16 @@ impl Default for RenderSettings {
             noise_threshold: 0.0,
             max_depth: 12,
             walk: "auto".into(),
+            walk_pdf: "auto".into(),
+            classical_fraction: 0.0,
+            first_distance: "dwivedi".into(),
+            normals: MAX_NORMALS,
+            learn_shares: true,
+            stratify_techniques: true,
+            control_variates: true,
+            exit_lights: "auto".into(),
+            cache_fill: "surface".into(),
+            cache_resolution: 0,
             subsurface_boundary: "auto".into(),
             lights_visible_to_camera: false,
             aovs: AOVS.map(String::from).to_vec(),

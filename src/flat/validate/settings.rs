@@ -2,7 +2,7 @@
 
 use crate::{
     error::{Error, Result},
-    flat::{AOVS, RenderSettings},
+    flat::{AOVS, MAX_NORMALS, RenderSettings, WALKS},
 };
 
 /// Pixels per side: above it the AOVs of one image fill the memory of any machine.
@@ -14,9 +14,11 @@ const MOST_THREADS: u32 = 4096;
 /// Seconds, a thousand years: far below what `Duration` holds.
 const LONGEST_TIME_LIMIT: f32 = 3e10;
 
+/// Cells per side: more than an object has triangles across.
+const FINEST_CACHE: u32 = 1024;
+
 const POLICIES: [&str; 5] =
     ["expandAperture", "cropAperture", "adjustApertureWidth", "adjustApertureHeight", "adjustPixelAspectRatio"];
-const WALKS: [&str; 2] = ["auto", "classical"];
 const BOUNDARIES: [&str; 4] = ["auto", "diffuse", "dielectric", "indexMatched"];
 
 impl RenderSettings {
@@ -48,7 +50,25 @@ impl RenderSettings {
         if !(self.noise_threshold >= 0.0 && self.noise_threshold.is_finite()) {
             return refuse("noiseThreshold", self.noise_threshold, "a relative error, 0 for none");
         }
+        self.check_guiding()?;
         self.check_tokens()
+    }
+
+    fn check_guiding(&self) -> Result<()> {
+        if !(0.0..=1.0).contains(&self.classical_fraction) {
+            return refuse("classicalFraction", self.classical_fraction, "a share from 0 to 1");
+        }
+        if self.normals > MAX_NORMALS {
+            return refuse("normals", self.normals, "0 to 7");
+        }
+        if self.cache_resolution > FINEST_CACHE {
+            return refuse("cacheResolution", self.cache_resolution, "0 for automatic, at most 1024");
+        }
+        if self.walk == "ii" && self.walk_pdf == "exact" {
+            let wanted = "conditional or auto: the normals of ii are continuous and have no closed marginal";
+            return refuse("walkPdf", "\"exact\"", wanted);
+        }
+        Ok(())
     }
 
     /// USD lets the window reach beyond the image (overscan), but not by any amount of memory.
@@ -66,6 +86,10 @@ impl RenderSettings {
     fn check_tokens(&self) -> Result<()> {
         check_token("aspectRatioConformPolicy", &self.aspect_ratio_conform_policy, &POLICIES)?;
         check_token("walk", &self.walk, &WALKS)?;
+        check_token("walkPdf", &self.walk_pdf, &["auto", "conditional", "exact"])?;
+        check_token("firstDistance", &self.first_distance, &["dwivedi", "classical"])?;
+        check_token("exitLights", &self.exit_lights, &["auto", "one", "all", "learned"])?;
+        check_token("cacheFill", &self.cache_fill, &["surface", "camera"])?;
         check_token("subsurfaceBoundary", &self.subsurface_boundary, &BOUNDARIES)?;
         self.aovs.iter().try_for_each(|aov| check_token("aovs", aov, &AOVS))
     }

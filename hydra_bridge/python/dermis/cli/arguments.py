@@ -11,8 +11,8 @@ from .. import color
 from ..aovs import AOVS
 from . import progress
 
-WALKS = ("auto", "classical")
-LATER_WALKS = ("poe", "cp", "ii", "bono", "bill", "mixture", "vpg")
+WALKS = ("auto", "classical", "poe", "cp", "ii", "bono", "bill", "mixture")
+LATER_WALKS = ("vpg",)
 PURPOSES = ("default", "render", "proxy", "guide")
 COMPLEXITIES = ("low", "medium", "high", "veryhigh")
 IMAGE_EXTENSIONS = (".exr", *color.EXTENSIONS)
@@ -142,10 +142,13 @@ def add_sampling_arguments(parser: argparse.ArgumentParser) -> None:
         "--walk", type=_walk, metavar="NAME", help=f"subsurface walk: {', '.join(WALKS)} (default=auto)"
     )
     group.add_argument(
-        "--walkPdf", choices=("conditional", "exact"), action=_Later, help="not in this version"
+        "--walkPdf",
+        choices=("auto", "conditional", "exact"),
+        help="weight of a guided walk: that of the sampled slab normal alone, or the marginal over all techniques "
+        "(default=auto: exact where it exists)",
     )
     group.add_argument(
-        "--classicalFraction", type=float, metavar="P", action=_Later, help="not in this version"
+        "--classicalFraction", type=_share, metavar="P", help="share of classical walks mixed into guided ones"
     )
     group.add_argument("--aov", dest="aovs", action="append", choices=AOVS, help="AOV to write (repeatable)")
     group.add_argument(
@@ -229,6 +232,13 @@ def _not_negative(text: str) -> float:
     return _bounded(value, text, 0)
 
 
+def _share(text: str) -> float:
+    value = float(text)
+    if not 0.0 <= value <= 1.0:
+        raise argparse.ArgumentTypeError(f"{text} is not between 0 and 1")
+    return value
+
+
 def _bounded(value: Number, text: str, least: int) -> Number:
     if not value >= least:  # also for NaN
         raise argparse.ArgumentTypeError(f"{text} is below {least}")
@@ -245,13 +255,6 @@ def _walk(name: str) -> str:
             f"invalid choice: {name!r} (choose from {', '.join(map(repr, WALKS))})"
         )
     return name
-
-
-class _Later(argparse.Action):
-    """A flag of the contract whose feature does not exist yet: refused, never ignored."""
-
-    def __call__(self, parser, namespace, values, option_string=None):
-        parser.error(f"argument {option_string}: not available in this version")
 
 
 class _Crop(argparse.Action):

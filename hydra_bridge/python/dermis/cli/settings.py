@@ -17,6 +17,8 @@ FLAG_SETTINGS = {
     "crop": "dataWindowNDC",
     "maxDepth": "maxDepth",
     "walk": "walk",
+    "walkPdf": "walkPdf",
+    "classicalFraction": "classicalFraction",
     "aovs": "aovs",
 }
 
