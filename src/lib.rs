@@ -35,6 +35,7 @@ pub mod delegate;
 pub mod error;
 pub mod film;
 pub mod flat;
+pub mod guiding;
 pub mod integrator;
 pub mod interaction;
 pub mod light;

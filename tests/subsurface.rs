@@ -1,84 +1,16 @@
 //! The classical walk against closed forms and adding-doubling tables.
 
+mod support;
+
 use dermis::bsdf::fresnel;
 use dermis::math::Rgb;
 use dermis::medium::Medium;
-use dermis::sampling::{cosine_hemisphere, sampler::Sampler};
-use dermis::subsurface::walk::{Enclosure, Start, WalkEnd, WalkStats, walk};
+use dermis::sampling::sampler::Sampler;
+use dermis::subsurface::steps::{Start, WalkEnd, WalkStats};
+use dermis::subsurface::walk::{Along, walk};
 use glam::Vec3;
 use std::path::Path;
-
-/// 0 < z < thickness, infinite in x and y. `true` is the face at z = 0.
-struct Slab {
-    thickness: f32,
-}
-
-impl Enclosure for Slab {
-    type Hit = bool;
-
-    fn cast(&self, p: Vec3, d: Vec3, t_max: f32, from: Option<bool>) -> Option<(f32, bool)> {
-        let top = d.z < 0.0;
-        let t = if top { -p.z / d.z } else { (self.thickness - p.z) / d.z };
-        (from != Some(top) && t < t_max).then_some((t.max(0.0), top))
-    }
-
-    fn bounds_contain(&self, p: Vec3) -> bool {
-        (-1e-3..=self.thickness * 1.001 + 1e-3).contains(&p.z)
-    }
-
-    fn position_error(&self) -> f32 {
-        1e-6
-    }
-}
-
-/// Mean and standard error of the mean, per channel.
-#[derive(Default, Clone, Copy)]
-struct Estimate {
-    sum: glam::DVec3,
-    squares: glam::DVec3,
-    n: f64,
-}
-
-impl Estimate {
-    fn add(&mut self, x: Rgb) {
-        let x = x.as_dvec3();
-        self.sum += x;
-        self.squares += x * x;
-        self.n += 1.0;
-    }
-
-    fn mean(&self) -> glam::DVec3 {
-        self.sum / self.n
-    }
-
-    /// Variance at least that of an analog walk (weight 0 or 1): rare events may not have been met at all.
-    fn z(&self, expected: f64) -> f64 {
-        let variance = (self.squares / self.n - self.mean() * self.mean()).x.max(expected * (1.0 - expected));
-        (self.mean().x - expected) / (variance / self.n + 1e-16).sqrt()
-    }
-}
-
-struct SlabFluxes {
-    reflected: Estimate,
-    transmitted: Estimate,
-}
-
-/// How the slab is lit: by a Lambertian sky or a beam of the given cosine.
-#[derive(Clone, Copy)]
-enum Beam {
-    Diffuse,
-    Cosine(f32),
-}
-
-impl Beam {
-    /// Direction of incidence, z into the slab.
-    fn direction(self, sampler: &mut Sampler) -> Vec3 {
-        match self {
-            Beam::Diffuse => cosine_hemisphere(sampler.next_2d()),
-            Beam::Cosine(mu) => Vec3::new((1.0 - mu * mu).max(0.0).sqrt(), 0.0, mu),
-        }
-    }
-}
+use support::slab::{Beam, Estimate, Row, Slab, SlabFluxes, reference_rows, z_limit};
 
 fn run_slab(medium: &Medium, thickness: f32, beam: Beam, walks: u32, seed: u32) -> SlabFluxes {
     let slab = Slab { thickness };
@@ -88,7 +20,7 @@ fn run_slab(medium: &Medium, thickness: f32, beam: Beam, walks: u32, seed: u32) 
         let mut sampler = Sampler::new(seed, i >> 12, i & 4095);
         let d = beam.direction(&mut sampler);
         let start = Start { p: Vec3::ZERO, d, normal: -Vec3::Z, hit: true, weight: Rgb::ONE };
-        let end = walk(&slab, medium, start, &mut sampler, &mut stats, |_, _| ());
+        let end = walk(&slab, medium, Along::None, start, &mut sampler, &mut stats, |_, _| None, |_, _| ());
         let (r, t) = match end {
             WalkEnd::Boundary { hit: true, weight, .. } => (weight, Rgb::ZERO),
             WalkEnd::Boundary { hit: false, weight, .. } => (Rgb::ZERO, weight),
@@ -99,45 +31,6 @@ fn run_slab(medium: &Medium, thickness: f32, beam: Beam, walks: u32, seed: u32) 
     }
     assert_eq!((stats.leaked, stats.too_long), (0, 0));
     SlabFluxes { reflected, transmitted }
-}
-
-/// One row of reference_slab.csv.
-struct Row {
-    g: f32,
-    eta: f32,
-    alpha: f32,
-    tau: f32,
-    beam: Beam,
-    r: f64,
-    t: f64,
-}
-
-/// `None`, with a word on stderr, where ../shared is absent.
-fn reference_rows() -> Option<Vec<Row>> {
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/reference/reference_slab.csv");
-    let Ok(text) = std::fs::read_to_string(&file) else {
-        eprintln!("skipped: {} is absent", file.display());
-        return None;
-    };
-    let parse = |line: &str| {
-        let cell: Vec<&str> = line.split(',').collect();
-        let number = |i: usize| cell[i].parse::<f64>().expect("a number in the reference table");
-        Row {
-            g: number(0) as f32,
-            eta: number(1) as f32,
-            alpha: number(2) as f32,
-            tau: number(3) as f32,
-            beam: if cell[4] == "diffuse" { Beam::Diffuse } else { Beam::Cosine(1.0) },
-            r: number(7),
-            t: number(8),
-        }
-    };
-    Some(text.lines().filter(|l| l.starts_with(['0', '-'])).map(parse).collect())
-}
-
-/// |z| that one of `tests` independent tests exceeds with probability 1e-3 (Bonferroni, normal tail bound).
-fn z_limit(tests: usize) -> f64 {
-    (2.0 * (2.0 * tests as f64 / 1e-3).ln()).sqrt()
 }
 
 /// Light through a slab whose faces are smooth dielectrics: a walk starts anew at every internal reflection,
@@ -171,7 +64,9 @@ fn pass_dielectric(
     let inside = fresnel::refract(-d, -Vec3::Z, eta).expect("light always gets into the denser medium");
     let mut start = Start { p: Vec3::ZERO, d: inside, normal: -Vec3::Z, hit: true, weight: Rgb::ONE };
     loop {
-        let WalkEnd::Boundary { hit, p, d, weight, .. } = walk(slab, medium, start, sampler, stats, |_, _| ()) else {
+        let WalkEnd::Boundary { hit, p, d, weight, .. } =
+            walk(slab, medium, Along::None, start, sampler, stats, |_, _| None, |_, _| ())
+        else {
             return (true, Rgb::ZERO);
         };
         if sampler.random() >= fresnel::dielectric(d.z.abs(), 1.0 / eta) {

@@ -6,7 +6,8 @@ use dermis::delegate::{DirtyBits, RenderDelegate};
 use dermis::flat::{Light, LightShape, Material, Mesh, PreviewSurface, Prim};
 use dermis::sampling::sampler::Sampler;
 use dermis::scene::InstanceEnclosure;
-use dermis::subsurface::walk::{Start, WalkEnd, WalkStats, walk};
+use dermis::subsurface::steps::{Start, WalkEnd, WalkStats};
+use dermis::subsurface::walk::{Along, walk};
 use glam::{DVec3, Vec3};
 use support::{camera, channel, cuboid, furnace, mean_and_error, mesh, plane, render, scene, settings, sphere};
 
@@ -106,10 +107,19 @@ fn path_length(
     let hit = dermis::scene::BoundaryHit { triangle: hit.triangle, u: hit.u, v: hit.v };
     let start = Start { p: enclosure.point(&hit), d, normal, hit, weight: Vec3::ONE };
     let (mut stats, mut length, mut last) = (WalkStats::default(), 0.0_f64, start.p);
-    let end = walk(enclosure, medium, start, &mut sampler, &mut stats, |collision, _| {
-        length += f64::from((collision.p - last).length());
-        last = collision.p;
-    });
+    let end = walk(
+        enclosure,
+        medium,
+        Along::None,
+        start,
+        &mut sampler,
+        &mut stats,
+        |_, _| None,
+        |collision, _| {
+            length += f64::from((collision.p - last).length());
+            last = collision.p;
+        },
+    );
     let WalkEnd::Boundary { p, .. } = end else { panic!("a walk in a closed box without absorption ended {end:?}") };
     length + f64::from((p - last).length())
 }
@@ -139,13 +149,15 @@ fn same_image_for_any_number_of_threads() {
     assert!(plane(&one, "subsurface").iter().sum::<f32>() > 0.0);
 }
 
-/// Sample ranges merged by their weights are the single run, up to the rounding of the sums.
+/// Sample ranges of classical walks, merged by their weights, are the single run, up to the rounding of the sums.
+/// Guided walks learn from the range they are in: theirs have the same mean, not the same pixels.
 #[test]
 fn sample_ranges_merge() {
     let mut delegate = lit_sphere();
-    let whole = render(&mut delegate, settings(24, 12));
-    let first = render(&mut delegate, settings(24, 4));
-    let rest = render(&mut delegate, dermis::flat::RenderSettings { sample_offset: 4, ..settings(24, 8) });
+    let classical = |samples| dermis::flat::RenderSettings { walk: "classical".into(), ..settings(24, samples) };
+    let whole = render(&mut delegate, classical(12));
+    let first = render(&mut delegate, classical(4));
+    let rest = render(&mut delegate, dermis::flat::RenderSettings { sample_offset: 4, ..classical(8) });
     let merged = plane(&first, "color").iter().zip(plane(&rest, "color")).map(|(a, b)| (4.0 * a + 8.0 * b) / 12.0);
     for (merged, whole) in merged.zip(plane(&whole, "color")) {
         assert!((merged - whole).abs() <= 1e-5 * whole.abs(), "{merged} against {whole}");

@@ -6,6 +6,10 @@ use serde::{Deserialize, Serialize};
 pub const AOVS: [&str; 10] =
     ["alpha", "depth", "normal", "position", "albedo", "primId", "direct", "indirect", "subsurface", "variance"];
 
+/// AOVs for looking at the guide, of the first walk behind a camera ray: written only where asked for.
+pub const GUIDE_AOVS: [&str; 6] =
+    ["slabNormal", "entryAgreement", "walkLength", "region", "cacheIrradiance", "techniqueShares"];
+
 /// Guided walks of the literature, the mixture of them, and the choice between it and `classical`.
 pub const WALKS: [&str; 8] = ["auto", "classical", "poe", "cp", "ii", "bono", "bill", "mixture"];
 
@@ -58,6 +62,8 @@ pub struct RenderSettings {
     pub control_variates: bool,
     /// Lights sampled where a walk comes out: `one`, `all`, `learned` (one, by visible contribution), or `auto`.
     pub exit_lights: String,
+    /// Where walks of `mixture` come out of a diffuse boundary, half of them go on to where indirect light was seen.
+    pub guide_exits: bool,
     /// What fills the boundary cache: `surface` (uniform samples) or `camera` (walks of camera paths).
     pub cache_fill: String,
     /// Cells of the boundary cache along the longest side of an object; 0: by mean free path and pixel size.
@@ -66,7 +72,7 @@ pub struct RenderSettings {
     pub subsurface_boundary: String,
     /// Camera rays see area lights.
     pub lights_visible_to_camera: bool,
-    /// AOVs beside the beauty, each one of [`AOVS`]; all by default.
+    /// AOVs beside the beauty, each one of [`AOVS`] or [`GUIDE_AOVS`]; all of the former by default.
     pub aovs: Vec<String>,
 }
 
@@ -95,6 +101,7 @@ impl Default for RenderSettings {
             stratify_techniques: true,
             control_variates: true,
             exit_lights: "auto".into(),
+            guide_exits: true,
             cache_fill: "surface".into(),
             cache_resolution: 0,
             subsurface_boundary: "auto".into(),

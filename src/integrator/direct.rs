@@ -3,18 +3,19 @@
 use super::nest::{Inside, Nest};
 use super::{Bucket, Path, Previous, add_to};
 use crate::bsdf::{Boundary, Bsdf, Side};
+use crate::guiding::LightsAt;
+use crate::guiding::exit::ExitGuide;
 use crate::interaction::Interaction;
-use crate::light::{LightSample, ShapeHit};
+use crate::light::{Choice, LightSample, ShapeHit};
 use crate::math::Rgb;
-use crate::medium::phase_eval;
 use crate::sampling::power_heuristic;
+use crate::sampling::sampler::Sampler;
 use crate::scene::{Origin, Scene};
 use crate::subsurface::walk::Collision;
 use glam::{Vec2, Vec3};
 
-/// Shadow rays to a point on a mesh light stop short of it by this share of the distance, so that
-/// the light's own triangle does not shadow it; f32 positions resolve no finer.
-const SHORT: f32 = 1.0 - 1e-4;
+/// Generator of the R2 sequence (Roberts 2018): inverse powers of the plastic number.
+const R2: Vec2 = Vec2::new(0.754_877_7, 0.569_840_3);
 
 /// Faces that a shadow ray may pass before it counts as blocked.
 const MAX_LAYERS: u32 = 256;
@@ -25,8 +26,10 @@ impl Path<'_> {
         let scene = self.scene;
         let (o, d) = (self.o, self.d);
         scene.light_shapes(o, d, t_max, |light, hit| {
-            let weight =
-                self.light_weight(light, |p, n| scene.lights.pdf_hit(light, p, n, d, &seen_from(p, o, d, hit)));
+            let weight = self.light_weight(
+                |p, n, choice| scene.lights.pdf_hit(light, p, n, choice, d, &seen_from(p, o, d, hit)),
+                light,
+            );
             let radiance = scene.lights.radiance_hit(light, d, hit);
             self.see_light(weight * self.inside.transmittance(hit.t) * radiance);
         });
@@ -36,7 +39,7 @@ impl Path<'_> {
         let scene = self.scene;
         let d = self.d;
         for &light in scene.lights.infinite() {
-            let weight = self.light_weight(light, |p, n| scene.lights.pdf_escaped(light, p, n, d));
+            let weight = self.light_weight(|p, n, choice| scene.lights.pdf_escaped(light, p, n, choice, d), light);
             self.see_light(weight * self.inside.transmittance(f32::INFINITY) * scene.lights.escaped(light, d));
         }
     }
@@ -57,13 +60,16 @@ impl Path<'_> {
         let weight = match self.previous {
             // The mesh is there for the camera to see, lit up.
             Previous::Camera => Rgb::ONE,
-            _ => self.light_weight(light, |p, n| scene.lights.pdf_hit(light, p, n, d, &seen_from(p, o, d, &hit))),
+            _ => self.light_weight(
+                |p, n, choice| scene.lights.pdf_hit(light, p, n, choice, d, &seen_from(p, o, d, &hit)),
+                light,
+            ),
         };
         self.add(weight * radiance);
     }
 
     /// MIS weight of a light met by the segment; 0 where the camera must not see it.
-    fn light_weight(&self, light: u32, light_pdf: impl Fn(Vec3, Option<Vec3>) -> f32) -> Rgb {
+    fn light_weight(&self, light_pdf: impl Fn(Vec3, Option<Vec3>, Choice) -> f32, light: u32) -> Rgb {
         match self.previous {
             Previous::Delta => Rgb::ONE,
             Previous::Camera => {
@@ -72,7 +78,9 @@ impl Path<'_> {
             }
             // Next-event estimation looks to the outside only: what was refracted the other way is ours alone.
             Previous::Sampled { n: Some(n), .. } if self.d.dot(n) <= 0.0 => Rgb::ONE,
-            Previous::Sampled { p, n, pdf } => Rgb::splat(power_heuristic(pdf, light_pdf(p, n))),
+            Previous::Sampled { p, n, pdf, lights } => {
+                Rgb::splat(power_heuristic(pdf, light_pdf(p, n, self.guide.choice(lights))))
+            }
         }
     }
 
@@ -86,28 +94,56 @@ impl Path<'_> {
         self.add(light);
     }
 
-    /// Light sampled at a surface, weighted against the BSDF's own sampling of the same direction.
-    pub(super) fn next_event(&mut self, si: &Interaction, bsdf: &Bsdf, u_choice: f32, u: Vec2) {
+    /// Light sampled at a surface, weighted against the sampling of the same direction by the BSDF, or by a mixture
+    /// of it and `guide`.
+    pub(super) fn next_event(
+        &mut self,
+        si: &Interaction,
+        bsdf: &Bsdf,
+        lights: LightsAt,
+        guide: Option<&ExitGuide>,
+        sampler: &mut Sampler,
+    ) {
+        let (u_choice, u) = (sampler.next_1d(), sampler.next_2d());
         if bsdf.is_delta_only() {
             return;
         }
-        let Some(light) = self.scene.lights.sample(si.p, Some(si.ng), u_choice, u) else { return };
+        let (all, choice) = (&self.scene.lights, self.guide.choice(lights));
+        let Choice::All(count) = choice else {
+            self.add_light(si, bsdf, guide, all.sample(si.p, Some(si.ng), choice, u_choice, u));
+            return;
+        };
+        for light in 0..all.len() as u32 {
+            // A sample's points on the light are a lattice (Roberts' R2), shifted by its stratified first.
+            let first = if light == 0 { u } else { sampler.next_2d() };
+            for i in 0..count {
+                let u = (first + i as f32 * R2).fract();
+                let sample = all.sample_light(light, si.p, Some(si.ng), u);
+                let counted = sample.map(|sample| LightSample { pdf: sample.pdf * count as f32, ..sample });
+                self.add_light(si, bsdf, guide, counted);
+            }
+        }
+    }
+
+    fn add_light(&mut self, si: &Interaction, bsdf: &Bsdf, guide: Option<&ExitGuide>, light: Option<LightSample>) {
+        let Some(light) = light.filter(|light| light.pdf > 0.0 && light.pdf.is_finite()) else { return };
         let wi = si.local(light.wi);
         let f = bsdf.eval(wi);
         // Towards the outside only, and shading and geometric normal must agree which side that is.
-        if f == Rgb::ZERO || light.wi.dot(si.ng) <= 0.0 || wi.z <= 0.0 {
+        if f == Rgb::ZERO || light.radiance == Rgb::ZERO || light.wi.dot(si.ng) <= 0.0 || wi.z <= 0.0 {
             return;
         }
         let inside = if matches!(si.side, Side::Inside) { self.inside.left(si.instance) } else { self.inside };
         let origin = Some((si.instance, si.triangle));
         let visible = self.shadow(si.origin(light.wi), &light, origin, inside);
-        let weight = if light.delta { 1.0 } else { power_heuristic(light.pdf, bsdf.pdf(wi)) };
+        let pdf = || guide.map_or(bsdf.pdf(wi), |guide| guide.pdf(bsdf.pdf(wi), light.wi));
+        let weight = if light.delta { 1.0 } else { power_heuristic(light.pdf, pdf()) };
         self.add(f * visible * light.radiance * (weight / light.pdf));
     }
 
     fn shadow(&mut self, o: Vec3, light: &LightSample, origin: Origin, inside: Nest) -> Rgb {
         self.stats.shadow_rays += 1;
-        transmittance(self.scene, o, light.wi, light.distance * SHORT, origin, inside)
+        transmittance(self.scene, o, light.wi, light.reach(), origin, inside)
     }
 }
 
@@ -117,12 +153,11 @@ fn seen_from(p: Vec3, o: Vec3, d: Vec3, hit: &ShapeHit) -> ShapeHit {
     ShapeHit { t: hit.t + (o - p).dot(d), ..*hit }
 }
 
-/// Light sampled at a collision in an index-matched medium, weighted against the phase function.
+/// Light sampled at a collision in an index-matched medium, weighted against the walk's own directions.
 #[derive(Clone, Copy)]
 pub(super) struct CollisionLight<'a> {
     pub scene: &'a Scene,
     pub inside: Nest,
-    pub g: f32,
     /// Path throughput per unit of the walk's weight.
     pub scale: f32,
     pub bucket: Bucket,
@@ -131,10 +166,10 @@ pub(super) struct CollisionLight<'a> {
 impl CollisionLight<'_> {
     /// `p`: the collision in render space.
     pub(super) fn add(&self, collision: &Collision, p: Vec3, u_choice: f32, u: Vec2, sample: &mut crate::film::Sample) {
-        let Some(light) = self.scene.lights.sample(p, None, u_choice, u) else { return };
-        let phase = phase_eval(self.g, collision.d.dot(light.wi));
-        let visible = transmittance(self.scene, p, light.wi, light.distance * SHORT, None, self.inside);
-        let weight = if light.delta { 1.0 } else { power_heuristic(light.pdf, phase) };
+        let Some(light) = self.scene.lights.sample(p, None, Choice::One, u_choice, u) else { return };
+        let (phase, pdf) = (collision.scatter)(light.wi);
+        let visible = transmittance(self.scene, p, light.wi, light.reach(), None, self.inside);
+        let weight = if light.delta { 1.0 } else { power_heuristic(light.pdf, pdf) };
         let light = phase * visible * light.radiance * (weight / light.pdf);
         add_to(sample, self.bucket, self.scale * collision.weight * light);
     }
@@ -142,7 +177,7 @@ impl CollisionLight<'_> {
 
 /// Share of light that reaches along (o, d) from distance `t_max`: 0 or 1 past opaque things, opacity and
 /// index-matched media in between. `inside`: the objects around `o`.
-fn transmittance(scene: &Scene, o: Vec3, d: Vec3, t_max: f32, origin: Origin, inside: Nest) -> Rgb {
+pub(super) fn transmittance(scene: &Scene, o: Vec3, d: Vec3, t_max: f32, origin: Origin, inside: Nest) -> Rgb {
     if !scene.needs.transparency && inside.medium().is_none() {
         return if scene.occluded(o, d, t_max, origin) { Rgb::ZERO } else { Rgb::ONE };
     }

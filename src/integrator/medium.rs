@@ -2,16 +2,35 @@
 
 use super::direct::CollisionLight;
 use super::nest::Inside;
+use super::watch::drawn;
 use super::{Bucket, Path, Previous};
 use crate::bsdf::{Boundary, Bsdf, Event, Side};
+use crate::film::Sample;
+use crate::guiding::exit::ExitGuide;
+use crate::guiding::look::shares_by_kind;
+use crate::guiding::plan::{Plan, Walk};
 use crate::interaction::Interaction;
 use crate::math::Rgb;
 use crate::sampling::sampler::Sampler;
-use crate::scene::{BoundaryHit, InstanceEnclosure, Interior, SurfaceHit};
-use crate::subsurface::walk::{Start, WalkEnd, walk};
+use crate::scene::{BoundaryHit, InstanceEnclosure, SurfaceHit};
+use crate::subsurface::mixture::{Visitor, walk_mixture};
+use crate::subsurface::steps::{Start, WalkEnd};
+use crate::subsurface::technique::GuidedMedium;
+use crate::subsurface::walk::{Along, Collision, walk};
 use glam::{Vec2, Vec3};
 
-impl Path<'_> {
+/// The medium that a path is in.
+struct Passage<'a> {
+    enclosure: InstanceEnclosure<'a>,
+    instance: u32,
+    boundary: Boundary,
+    plan: &'a Plan,
+    medium: &'a GuidedMedium,
+    /// No boundary was met yet.
+    first: bool,
+}
+
+impl<'a> Path<'a> {
     /// Enters the medium behind `si` along `wi` and follows it to the outside. The medium and the boundary
     /// are those of the entry, wherever the walk comes out.
     pub(super) fn enter_medium(
@@ -22,30 +41,36 @@ impl Path<'_> {
         sampler: &mut Sampler,
     ) -> Option<()> {
         let scene = self.scene;
-        let interior = scene.surfaces[si.surface as usize].interior?;
+        let boundary = scene.surfaces[si.surface as usize].interior?.boundary;
+        let (plan, medium) = self.guide.plan(si.surface)?;
         if self.depth == 0 {
             self.bucket = Bucket::Subsurface;
         }
         let enclosure = InstanceEnclosure::new(scene, si.instance);
+        let mut passage = Passage { enclosure, instance: si.instance, boundary, plan, medium, first: self.depth == 0 };
         let entry = BoundaryHit { triangle: hit.triangle, u: hit.u, v: hit.v };
-        let mut start = Start { p: enclosure.point(&entry), d: wi, normal: si.ng, hit: entry, weight: Rgb::ONE };
+        let p = passage.enclosure.point(&entry);
+        let mut start = Start { p, d: wi, normal: si.ng, hit: entry, weight: Rgb::ONE };
         loop {
-            let (at, d) = self.sub_walk(&enclosure, &interior, start, si.instance, sampler)?;
-            let exit = scene.interaction(&enclosure.surface_hit(&at), d, Side::Inside);
-            match interior.boundary {
+            let (at, d) = self.sub_walk(&passage, start, sampler)?;
+            passage.first = false;
+            let exit = scene.interaction(&passage.enclosure.surface_hit(&at), d, Side::Inside);
+            match boundary {
                 Boundary::IndexMatched => {
                     self.continue_from(&exit, d);
                     return self.cross();
                 }
-                Boundary::Diffuse => return self.leave_diffuse(&exit, sampler),
-                Boundary::Dielectric => match self.meet_dielectric(si.surface, &exit, sampler)? {
-                    Some(reflected) => {
-                        self.cross()?;
-                        start =
-                            Start { p: enclosure.point(&at), d: reflected, normal: exit.ng, hit: at, weight: Rgb::ONE };
+                Boundary::Diffuse => return self.leave_diffuse(&exit, passage.enclosure.point(&at), sampler),
+                Boundary::Dielectric => {
+                    let p = passage.enclosure.point(&at);
+                    match self.meet_dielectric(si.surface, &exit, p, sampler)? {
+                        Some(reflected) => {
+                            self.cross()?;
+                            start = Start { p, d: reflected, normal: exit.ng, hit: at, weight: Rgb::ONE };
+                        }
+                        None => return Some(()),
                     }
-                    None => return Some(()),
-                },
+                }
             }
         }
     }
@@ -53,58 +78,163 @@ impl Path<'_> {
     /// One walk to the next boundary point: where, and in which direction it arrives.
     fn sub_walk(
         &mut self,
-        enclosure: &InstanceEnclosure,
-        interior: &Interior,
+        passage: &Passage<'a>,
         mut start: Start<BoundaryHit>,
-        instance: u32,
         sampler: &mut Sampler,
     ) -> Option<(BoundaryHit, Vec3)> {
-        let medium = &interior.medium;
         let scale = self.throughput.max_element();
         (scale > 0.0).then_some(())?;
         start.weight = self.throughput / scale;
-        // Light reaches collisions straight only where the boundary does not bend it.
-        let matched = interior.boundary == Boundary::IndexMatched;
-        let inside = if matched { self.enter(Inside { instance, medium: Some(*medium) })? } else { self.inside };
-        let light =
-            matched.then_some(CollisionLight { scene: self.scene, inside, g: medium.g, scale, bucket: self.bucket });
-        let sample = &mut self.sample;
-        let shadow_rays = &mut self.stats.shadow_rays;
-        let end = walk(enclosure, medium, start, sampler, &mut self.stats.walk, |collision, sampler| {
+        let end = match passage.boundary {
+            // Light reaches collisions straight only where the boundary does not bend it.
+            Boundary::IndexMatched => {
+                let medium = Some(passage.medium.medium);
+                let inside = self.enter(Inside { instance: passage.instance, medium })?;
+                let light = CollisionLight { scene: self.scene, inside, scale, bucket: self.bucket };
+                self.walk::<true>(passage, start, scale, Some(light), sampler)
+            }
+            _ => self.walk::<false>(passage, start, scale, None, sampler),
+        };
+        let WalkEnd::Boundary { hit, d, weight, scattered, .. } = end else { return None };
+        self.throughput = scale * weight;
+        if let (Some((p, pdf)), Boundary::IndexMatched) = (scattered, passage.boundary) {
+            let lights = crate::guiding::LightsAt::One;
+            self.previous = Previous::Sampled { p: passage.enclosure.to_render(p), n: None, pdf, lights };
+        }
+        Some((hit, d))
+    }
+
+    /// The walk that the plan says.
+    fn walk<const LIT: bool>(
+        &mut self,
+        passage: &Passage<'a>,
+        start: Start<BoundaryHit>,
+        scale: f32,
+        light: Option<CollisionLight>,
+        sampler: &mut Sampler,
+    ) -> WalkEnd<BoundaryHit> {
+        if !passage.plan.exact {
+            return self.conditional_walk(passage, start, light, sampler);
+        }
+        let kind = passage.plan.walk;
+        let guide = self.guide.start(kind, passage.instance, start.p, start.normal);
+        let u = if self.guide.stratify { sampler.next_1d() } else { sampler.random() };
+        let logs = self.log.is_some() && guide.region.is_some();
+        let throughput = scale * start.weight;
+        let (before, segments) = (self.sample, self.stats.walk.steps);
+        let mut visitor: Collisions<'_, LIT> =
+            Collisions { passage, light, cp: kind == Walk::Cp, late: None, sample: &mut self.sample, shadow_rays: 0 };
+        let stats = &mut self.stats.walk;
+        let techniques = guide.techniques;
+        let end = walk_mixture(&passage.enclosure, passage.medium, techniques, start, u, sampler, stats, &mut visitor);
+        let (late, shadow_rays) = (visitor.late, visitor.shadow_rays);
+        self.stats.shadow_rays += shadow_rays;
+        if logs {
+            let ratios = end.densities.ratios();
+            self.log_walk(guide.region, guide.controls, ratios, throughput, before.color(), passage.first);
+        }
+        if passage.first && self.guide.watched() {
+            let normal = |lane| if kind == Walk::Cp { late } else { Some(techniques.normal(lane)) };
+            let shares = shares_by_kind(&techniques, kind.has_entry(guide.region.is_some()));
+            let segments = self.stats.walk.steps - segments;
+            self.watch(passage.instance, &start, segments, end.technique.lane.and_then(normal), shares);
+        }
+        end.end
+    }
+
+    /// A walk along one slab normal, or classical, weighted by itself.
+    fn conditional_walk(
+        &mut self,
+        passage: &Passage<'a>,
+        start: Start<BoundaryHit>,
+        light: Option<CollisionLight>,
+        sampler: &mut Sampler,
+    ) -> WalkEnd<BoundaryHit> {
+        let guide = self.guide;
+        let mut kind = passage.plan.walk;
+        // The classical share of the literature's walks; the weight does not know of it (guiding.md 2.6). The mixture
+        // has its own.
+        if !matches!(kind, Walk::Classical | Walk::Mixture)
+            && guide.classical > 0.0
+            && sampler.random() < guide.classical
+        {
+            kind = Walk::Classical;
+        }
+        let kernels = &passage.medium.kernels;
+        let fixed = |normal| Along::Fixed { kernels, normal, first_distance: guide.guided_first };
+        let slab = match kind {
+            Walk::Classical => Along::None,
+            Walk::Poe => fixed(start.normal),
+            Walk::Cp | Walk::Ii => Along::Late { kernels },
+            Walk::Mixture => {
+                let techniques = guide.start(kind, passage.instance, start.p, start.normal).techniques;
+                let lane = techniques.choose(sampler.random()).lane;
+                lane.map_or(Along::None, |lane| fixed(techniques.normal(lane)))
+            }
+            Walk::Bono | Walk::Bill => {
+                let u = (sampler.random(), sampler.random());
+                let u2 = Vec2::new(sampler.random(), sampler.random());
+                fixed(guide.slab_normal(passage.instance, start.p, start.normal, u, u2).unwrap_or(start.normal))
+            }
+        };
+        let (enclosure, scene) = (&passage.enclosure, self.scene);
+        let mut followed = if let Along::Fixed { normal, .. } = slab { Some(normal) } else { None };
+        let late = |p: Vec3, sampler: &mut Sampler| {
+            followed = if kind == Walk::Cp {
+                enclosure.closest_point(p).and_then(|to| away(p, to))
+            } else {
+                let u = Vec2::new(sampler.random(), sampler.random());
+                let choice = crate::light::Choice::One;
+                scene.lights.sample(enclosure.to_render(p), None, choice, sampler.random(), u).map(|light| light.wi)
+            };
+            followed
+        };
+        let (sample, shadow_rays) = (&mut self.sample, &mut self.stats.shadow_rays);
+        let collide = |collision: &Collision, sampler: &mut Sampler| {
             if let Some(light) = &light {
                 *shadow_rays += 1;
                 let u = Vec2::new(sampler.random(), sampler.random());
                 light.add(collision, enclosure.to_render(collision.p), sampler.random(), u, sample);
             }
-        });
-        let WalkEnd::Boundary { hit, d, weight, scattered, .. } = end else { return None };
-        self.throughput = scale * weight;
-        if let (Some((p, pdf)), Boundary::IndexMatched) = (scattered, interior.boundary) {
-            self.previous = Previous::Sampled { p: enclosure.to_render(p), n: None, pdf };
+        };
+        let medium = &passage.medium.medium;
+        let stats = &mut self.stats.walk;
+        let segments = stats.steps;
+        let end = walk(enclosure, medium, slab, start, sampler, stats, late, collide);
+        if passage.first && self.guide.watched() {
+            let segments = self.stats.walk.steps - segments;
+            self.watch(passage.instance, &start, segments, followed, drawn(followed, start.normal));
         }
-        Some((hit, d))
+        end
     }
 
-    /// Lambertian transmission out of a diffuse boundary.
-    fn leave_diffuse(&mut self, exit: &Interaction, sampler: &mut Sampler) -> Option<()> {
+    /// Lambertian transmission out of a diffuse boundary at `p`, walk space.
+    fn leave_diffuse(&mut self, exit: &Interaction, p: Vec3, sampler: &mut Sampler) -> Option<()> {
         // wo is below; the exit lobe does not depend on it.
         let bsdf = Bsdf::lambert_exit();
-        let (u_choice, u_light) = (sampler.next_1d(), sampler.next_2d());
-        self.next_event(exit, &bsdf, u_choice, u_light);
-        let chosen = bsdf.sample(sampler.next_1d(), sampler.next_2d())?;
-        let wi = exit.frame.to_world(chosen.wi);
+        let lights = self.guide.exit_choice(exit.instance, p, exit.ng);
+        let guide = self.guide.exit(exit.instance, p, exit.ng);
+        self.next_event(exit, &bsdf, lights, guide, sampler);
+        let (wi, f, pdf) = leave(exit, &bsdf, guide, sampler)?;
         (wi.dot(exit.ng) > 0.0).then_some(())?;
-        self.throughput *= chosen.f / chosen.pdf;
-        self.bounce(exit, wi, chosen.delta, chosen.pdf)?;
+        self.throughput *= f / pdf;
+        self.bounce(exit, wi, false, pdf, lights)?;
         self.roulette(sampler)
     }
 
-    /// A dielectric boundary seen from inside: `Some(Some(wi))` reflected back in along wi, `Some(None)` out.
-    fn meet_dielectric(&mut self, surface: u32, exit: &Interaction, sampler: &mut Sampler) -> Option<Option<Vec3>> {
+    /// A dielectric boundary seen from inside at `p`, walk space: `Some(Some(wi))` reflected back in along wi,
+    /// `Some(None)` out.
+    fn meet_dielectric(
+        &mut self,
+        surface: u32,
+        exit: &Interaction,
+        p: Vec3,
+        sampler: &mut Sampler,
+    ) -> Option<Option<Vec3>> {
         let surface = &self.scene.surfaces[surface as usize].surface;
         let bsdf = surface.bsdf(exit.local(exit.wo), Side::Inside);
-        let (u_choice, u_light) = (sampler.next_1d(), sampler.next_2d());
-        self.next_event(exit, &bsdf, u_choice, u_light);
+        let lights = self.guide.exit_choice(exit.instance, p, exit.ng);
+        self.next_event(exit, &bsdf, lights, None, sampler);
         let chosen = bsdf.sample(sampler.next_1d(), sampler.next_2d())?;
         let wi = exit.frame.to_world(chosen.wi);
         self.throughput *= chosen.f / chosen.pdf;
@@ -113,9 +243,64 @@ impl Path<'_> {
             Event::Reflect => (!outward).then_some(Some(wi)),
             _ => {
                 outward.then_some(())?;
-                self.bounce(exit, wi, chosen.delta, chosen.pdf)?;
+                self.bounce(exit, wi, chosen.delta, chosen.pdf, lights)?;
                 Some(None)
             }
         }
+    }
+}
+
+/// Direction, f |cos| and solid-angle pdf of what leaves a diffuse boundary, by the mixture with `guide` if there is one.
+fn leave(
+    exit: &Interaction,
+    bsdf: &Bsdf,
+    guide: Option<&ExitGuide>,
+    sampler: &mut Sampler,
+) -> Option<(Vec3, Rgb, f32)> {
+    let (u_choice, u) = (sampler.next_1d(), sampler.next_2d());
+    let Some(guide) = guide else {
+        let chosen = bsdf.sample(u_choice, u)?;
+        return Some((exit.frame.to_world(chosen.wi), chosen.f, chosen.pdf));
+    };
+    let wi = match guide.sample(u_choice, u) {
+        Ok(wi) => wi,
+        Err(u_choice) => exit.frame.to_world(bsdf.sample(u_choice, u)?.wi),
+    };
+    let local = exit.local(wi);
+    (local.z > 0.0).then(|| (wi, bsdf.eval(local), guide.pdf(bsdf.pdf(local), wi)))
+}
+
+/// Unit vector from a collision to the boundary point `to`; `None` on the boundary itself.
+fn away(p: Vec3, to: Vec3) -> Option<Vec3> {
+    (to - p).try_normalize()
+}
+
+/// What a path does along a walk of the mixture: light at collisions, the closest point's normal.
+struct Collisions<'a, const LIT: bool> {
+    passage: &'a Passage<'a>,
+    light: Option<CollisionLight<'a>>,
+    cp: bool,
+    /// The closest point's normal, once known.
+    late: Option<Vec3>,
+    sample: &'a mut Sample,
+    shadow_rays: u64,
+}
+
+impl<const LIT: bool> Visitor for Collisions<'_, LIT> {
+    const AT_COLLISIONS: bool = LIT;
+
+    fn late_normal(&mut self, p: Vec3) -> Option<Vec3> {
+        if self.cp {
+            self.late = away(p, self.passage.enclosure.closest_point(p)?);
+        }
+        self.late
+    }
+
+    fn collide(&mut self, collision: &Collision, sampler: &mut Sampler) {
+        let Some(light) = &self.light else { return };
+        self.shadow_rays += 1;
+        let u = Vec2::new(sampler.random(), sampler.random());
+        let p = self.passage.enclosure.to_render(collision.p);
+        light.add(collision, p, sampler.random(), u, self.sample);
     }
 }

@@ -2,17 +2,24 @@
 //! and multiple importance sampling at surfaces, at exits of media, and at collisions where light gets in.
 
 mod direct;
+mod log;
 mod medium;
 mod nest;
+mod probe;
+mod watch;
+
+pub use log::WalkLog;
+pub use probe::probe;
 
 use crate::bsdf::{Boundary, Event, Side};
 use crate::camera::CameraRay;
 use crate::film::{FirstHit, Sample};
+use crate::guiding::{Guide, LightsAt};
 use crate::interaction::Interaction;
 use crate::math::Rgb;
 use crate::sampling::sampler::Sampler;
 use crate::scene::{Origin, Scene, SurfaceHit};
-use crate::subsurface::walk::WalkStats;
+use crate::subsurface::steps::WalkStats;
 use glam::Vec3;
 use nest::{Inside, Nest};
 
@@ -65,6 +72,7 @@ enum Previous {
         p: Vec3,
         n: Option<Vec3>,
         pdf: f32,
+        lights: LightsAt,
     },
 }
 
@@ -78,6 +86,9 @@ enum Bucket {
 
 struct Path<'a> {
     scene: &'a Scene,
+    guide: &'a Guide,
+    /// Where walks are logged; `None`: they have nothing to teach.
+    log: Option<&'a mut WalkLog>,
     settings: PathSettings,
     stats: &'a mut PathStats,
     sample: Sample,
@@ -94,37 +105,51 @@ struct Path<'a> {
     origin: Origin,
 }
 
-/// Radiance along a camera ray.
+/// Radiance along a camera ray. Estimates may be negative where control variates are on; `log` takes what the walks
+/// have to teach.
 pub fn trace(
     scene: &Scene,
+    guide: &Guide,
     settings: PathSettings,
     ray: CameraRay,
     sampler: &mut Sampler,
     stats: &mut PathStats,
+    log: &mut WalkLog,
 ) -> Sample {
-    let mut path = Path {
-        scene,
-        settings,
-        stats,
-        sample: Sample::BLACK,
-        throughput: Rgb::ONE,
-        depth: 0,
-        crossings: 0,
-        bucket: Bucket::Direct,
-        previous: Previous::Camera,
-        inside: Nest::OUTSIDE,
-        o: ray.o,
-        d: ray.d,
-        t_max: ray.t_max,
-        origin: None,
-    };
+    let mut path = Path { o: ray.o, d: ray.d, t_max: ray.t_max, ..Path::new(scene, guide, settings, stats) };
+    path.log = Some(log);
     while path.segment(sampler).is_some() {}
+    path.finish_walks();
     let sample = path.sample;
     if !sample.color().is_finite() {
         path.stats.non_finite += 1;
         return Sample { direct: Rgb::ZERO, indirect: Rgb::ZERO, subsurface: Rgb::ZERO, ..sample };
     }
     sample
+}
+
+impl<'a> Path<'a> {
+    /// A path at the camera that goes nowhere yet.
+    fn new(scene: &'a Scene, guide: &'a Guide, settings: PathSettings, stats: &'a mut PathStats) -> Self {
+        Self {
+            scene,
+            guide,
+            log: None,
+            settings,
+            stats,
+            sample: Sample::BLACK,
+            throughput: Rgb::ONE,
+            depth: 0,
+            crossings: 0,
+            bucket: Bucket::Direct,
+            previous: Previous::Camera,
+            inside: Nest::OUTSIDE,
+            o: Vec3::ZERO,
+            d: Vec3::Z,
+            t_max: f32::INFINITY,
+            origin: None,
+        }
+    }
 }
 
 impl Path<'_> {
@@ -156,10 +181,7 @@ impl Path<'_> {
         let recolored = si.display_color.and_then(|color| surface.with_display_color(color));
         let surface = recolored.as_ref().unwrap_or(surface);
         let bsdf = surface.bsdf(si.local(si.wo), si.side);
-        let (u_lobe, u_choice) = (sampler.next_1d(), sampler.next_1d());
-        let (u_light, u) = (sampler.next_2d(), sampler.next_2d());
-
-        let chosen = bsdf.sample(u_lobe, u);
+        let chosen = bsdf.sample(sampler.next_1d(), sampler.next_2d());
         let passes = matches!(&chosen, Some(s) if s.event == Event::PassThrough);
         if !passes {
             self.record_first_hit(si, surface.albedo());
@@ -167,7 +189,8 @@ impl Path<'_> {
         if self.depth > 0 && self.bucket == Bucket::Direct {
             self.bucket = Bucket::Indirect;
         }
-        self.next_event(si, &bsdf, u_choice, u_light);
+        let lights = if self.depth == 0 { self.guide.first_hit_choice() } else { LightsAt::One };
+        self.next_event(si, &bsdf, lights, None, sampler);
 
         let chosen = chosen?;
         let wi = si.frame.to_world(chosen.wi);
@@ -176,12 +199,12 @@ impl Path<'_> {
             Event::PassThrough => self.pass_through(si),
             Event::Reflect => {
                 (wi.dot(si.ng) * outside_sign(si.side) > 0.0).then_some(())?;
-                self.bounce(si, wi, chosen.delta, chosen.pdf)?;
+                self.bounce(si, wi, chosen.delta, chosen.pdf, lights)?;
                 self.roulette(sampler)
             }
             Event::Transmit => {
                 (wi.dot(si.ng) * outside_sign(si.side) < 0.0).then_some(())?;
-                self.transmit(hit, si, wi, chosen.delta, chosen.pdf, sampler)
+                self.transmit(hit, si, wi, chosen.delta, chosen.pdf, lights, sampler)
             }
             Event::EnterSubsurface => self.enter_medium(hit, si, below(wi, si.ng), sampler),
         }
@@ -202,6 +225,7 @@ impl Path<'_> {
         wi: Vec3,
         delta: bool,
         pdf: f32,
+        lights: LightsAt,
         sampler: &mut Sampler,
     ) -> Option<()> {
         let interior = self.scene.surfaces[si.surface as usize].interior;
@@ -217,13 +241,14 @@ impl Path<'_> {
         match interior {
             // Shadow rays pass it too, so what MIS knows of the segment's start still holds.
             Some(interior) if interior.boundary == Boundary::IndexMatched => self.pass_through(si),
-            _ => self.bounce(si, wi, delta, pdf),
+            _ => self.bounce(si, wi, delta, pdf, lights),
         }
     }
 
     /// Sets up the next segment along `wi`, sampled at `si`.
-    fn bounce(&mut self, si: &Interaction, wi: Vec3, delta: bool, pdf: f32) -> Option<()> {
-        self.previous = if delta { Previous::Delta } else { Previous::Sampled { p: si.p, n: Some(si.ng), pdf } };
+    fn bounce(&mut self, si: &Interaction, wi: Vec3, delta: bool, pdf: f32, lights: LightsAt) -> Option<()> {
+        self.previous =
+            if delta { Previous::Delta } else { Previous::Sampled { p: si.p, n: Some(si.ng), pdf, lights } };
         if matches!(si.side, Side::Inside) && self.inside.contains(si.instance) {
             self.cross()?;
         } else {

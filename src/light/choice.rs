@@ -7,14 +7,34 @@ use super::Lights;
 use crate::math::PI;
 use glam::Vec3;
 
+/// How a receiver's lights are sampled.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Choice<'a> {
+    /// One, by its unshadowed contribution.
+    One,
+    /// Each, as many times.
+    All(u32),
+    /// One, by its unshadowed contribution times a factor per light: the share that is visible.
+    Weighted(&'a [f32]),
+}
+
+impl Choice<'_> {
+    fn factor(&self, light: usize) -> f32 {
+        match self {
+            Choice::One | Choice::All(_) => 1.0,
+            Choice::Weighted(factors) => factors[light],
+        }
+    }
+}
+
 impl Lights {
     /// A light and the probability it was chosen with; `None` where no light can reach p.
-    pub(super) fn choose(&self, p: Vec3, n: Option<Vec3>, u: f32) -> Option<(u32, f32)> {
-        let sum: f64 = self.weights(p, n).map(|(_, weight)| weight).sum();
+    pub(super) fn choose(&self, p: Vec3, n: Option<Vec3>, choice: Choice, u: f32) -> Option<(u32, f32)> {
+        let sum: f64 = self.weights(p, n, choice).map(|(_, weight)| weight).sum();
         let mut left = f64::from(u) * sum;
         // Rounding may leave a remainder beyond the last weight: it is the last light's.
         let mut chosen = None;
-        for (light, weight) in self.weights(p, n) {
+        for (light, weight) in self.weights(p, n, choice) {
             chosen = Some((light, (weight / sum) as f32));
             left -= weight;
             if left < 0.0 {
@@ -24,10 +44,13 @@ impl Lights {
         chosen
     }
 
-    /// Probability with which `sample` chooses `light` at p.
-    pub fn choice_probability(&self, light: u32, p: Vec3, n: Option<Vec3>) -> f32 {
+    /// Probability with which `light` is sampled at p, or how many times.
+    pub fn choice_probability(&self, light: u32, p: Vec3, n: Option<Vec3>, choice: Choice) -> f32 {
+        if let Choice::All(count) = choice {
+            return count as f32;
+        }
         let (mut sum, mut own) = (0.0, 0.0);
-        for (i, weight) in self.weights(p, n) {
+        for (i, weight) in self.weights(p, n, choice) {
             sum += weight;
             if i == light {
                 own = weight;
@@ -37,10 +60,10 @@ impl Lights {
     }
 
     /// The lights of positive weight, in a fixed order.
-    fn weights(&self, p: Vec3, n: Option<Vec3>) -> impl Iterator<Item = (u32, f64)> {
+    fn weights(&self, p: Vec3, n: Option<Vec3>, choice: Choice) -> impl Iterator<Item = (u32, f64)> {
         self.lights.iter().enumerate().filter_map(move |(i, light)| {
             // An overflowing estimate still takes part, as the largest number.
-            let weight = f64::from(light.importance(p, n).min(f32::MAX));
+            let weight = f64::from(light.importance(p, n).min(f32::MAX)) * f64::from(choice.factor(i));
             (weight > 0.0).then_some((i as u32, weight))
         })
     }

@@ -25,6 +25,7 @@ mod tests;
 mod texels;
 
 pub use area::AreaLight;
+pub use choice::Choice;
 pub use compile::MeshTriangles;
 pub use distant::Distant;
 pub use dome::Dome;
@@ -74,6 +75,17 @@ pub struct LightSample {
     pub delta: bool,
 }
 
+/// Shadow rays to a point on a mesh light stop short of it by this share of the distance, so that
+/// the light's own triangle does not shadow it; f32 positions resolve no finer.
+const SHORT: f32 = 1.0 - 1e-4;
+
+impl LightSample {
+    /// How far a shadow ray has to be free.
+    pub fn reach(&self) -> f32 {
+        self.distance * SHORT
+    }
+}
+
 /// All lights of a scene that emit anything.
 #[derive(Debug, Clone, Default)]
 pub struct Lights {
@@ -112,15 +124,17 @@ impl Lights {
     /// A light chosen by its estimated contribution at `p`, and a direction to it. `n` is the normal of a
     /// receiver that takes light from its side only; without it light from all around counts. `None`: this
     /// sample contributes nothing.
-    pub fn sample(&self, p: Vec3, n: Option<Vec3>, u_choice: f32, u: Vec2) -> Option<LightSample> {
-        let (light, chosen) = self.choose(p, n, u_choice)?;
+    ///
+    /// `choice` is not `All`: of all lights each is asked by [`Self::sample_light`].
+    pub fn sample(&self, p: Vec3, n: Option<Vec3>, choice: Choice, u_choice: f32, u: Vec2) -> Option<LightSample> {
+        let (light, chosen) = self.choose(p, n, choice, u_choice)?;
         let mut sample = self.sample_light(light, p, n, u)?;
         sample.pdf *= chosen;
         (sample.pdf > 0.0 && sample.pdf.is_finite()).then_some(sample)
     }
 
     /// As [`Self::sample`] with the light given: the pdf is without the choice.
-    fn sample_light(&self, light: u32, p: Vec3, n: Option<Vec3>, u: Vec2) -> Option<LightSample> {
+    pub fn sample_light(&self, light: u32, p: Vec3, n: Option<Vec3>, u: Vec2) -> Option<LightSample> {
         let infinite = |(wi, pdf): (Vec3, f32), radiance: Rgb, delta| LightSample {
             light,
             wi,
@@ -151,9 +165,9 @@ impl Lights {
 
     /// Solid-angle pdf with which [`Self::sample`] gives the direction `wi` that meets an area light at
     /// `hit`, choice included. Mesh lights: [`ShapeHit::on_mesh`].
-    pub fn pdf_hit(&self, light: u32, p: Vec3, n: Option<Vec3>, wi: Vec3, hit: &ShapeHit) -> f32 {
+    pub fn pdf_hit(&self, light: u32, p: Vec3, n: Option<Vec3>, choice: Choice, wi: Vec3, hit: &ShapeHit) -> f32 {
         let Light::Area(area) = &self.lights[light as usize] else { return 0.0 };
-        area.shape.pdf(p, wi, hit) * self.choice_probability(light, p, n)
+        area.shape.pdf(p, wi, hit) * self.choice_probability(light, p, n, choice)
     }
 
     /// Radiance that arrives along `wi` from `hit` on an area light; zero from its dark side.
@@ -195,12 +209,12 @@ impl Lights {
     }
 
     /// Solid-angle pdf with which [`Self::sample`] gives direction `wi` to an infinite light, choice included.
-    pub fn pdf_escaped(&self, light: u32, p: Vec3, n: Option<Vec3>, wi: Vec3) -> f32 {
+    pub fn pdf_escaped(&self, light: u32, p: Vec3, n: Option<Vec3>, choice: Choice, wi: Vec3) -> f32 {
         let pdf = match &self.lights[light as usize] {
             Light::Distant(distant) => distant.pdf(wi),
             Light::Dome(dome) => dome.pdf(n, wi),
             Light::Area(_) => 0.0,
         };
-        if pdf > 0.0 { pdf * self.choice_probability(light, p, n) } else { 0.0 }
+        if pdf > 0.0 { pdf * self.choice_probability(light, p, n, choice) } else { 0.0 }
     }
 }

@@ -88,7 +88,31 @@ impl Instance {
     }
 }
 
+impl Instance {
+    /// Smallest side of its box in render space, stage units.
+    pub fn thickness(&self) -> f32 {
+        2.0 * self.half_size().min_element()
+    }
+
+    /// Half the sides of its box in render space.
+    pub fn half_size(&self) -> Vec3 {
+        let bounds = self.geometry.blas.bounds();
+        self.to_render.linear.abs() * ((bounds.max - bounds.min) * 0.5)
+    }
+}
+
 impl Scene {
+    /// Whether anything emits light.
+    pub fn is_lit(&self) -> bool {
+        !self.lights.is_empty() || self.surfaces.iter().any(|coating| coating.surface.emission() != Vec3::ZERO)
+    }
+
+    /// An instance of the mesh that wears `surface`, an index of `surfaces`.
+    pub fn owner(&self, surface: usize) -> Option<&Instance> {
+        // Surfaces of a mesh follow each other; its instances name the first.
+        self.instances.iter().filter(|i| i.surfaces as usize <= surface).max_by_key(|i| i.surfaces)
+    }
+
     /// Closest surface for 0 < t < `t_max`; `d` unit, render space.
     pub fn closest(&self, o: Vec3, d: Vec3, t_max: f32, origin: Origin) -> Option<SurfaceHit> {
         let mut ray = Ray { o, d, t_max };

@@ -1,6 +1,9 @@
 //! Small scenes built in code, and statistics over images, for the integration tests.
 #![allow(dead_code)] // each test binary uses its own part
 
+pub mod slab;
+pub mod ways;
+
 use dermis::delegate::{DirtyBits, RenderDelegate};
 use dermis::flat::{Array, Camera, Light, LightShape, Material, Mesh, Prim, RenderSettings};
 use glam::{DVec3, Vec3};

@@ -42,7 +42,8 @@ class Delegate:
         """Compiles what is dirty; JSON with what was rebuilt (`blas_built`, `instances`, `lights`, `seconds`...)."""
 
     def explain(self) -> str:
-        """JSON: what the committed scene needs, what was switched on and why, warnings."""
+        """JSON: what the committed scene needs (`needs`), what was switched on and why (`capabilities`), which walk
+        each medium takes and why (`media`: `prim`, `walk`, `exact`, `why`), `warnings`."""
 
     def bounds(self) -> tuple[list[float], list[float]] | None:
         """World bounds (min, max) of the visible meshes; None without any."""
@@ -61,10 +62,12 @@ class Delegate:
         """Asks the render to end after the tiles under way, and waits for it."""
 
     def snapshot(self) -> dict[str, NDArray]:
-        """AOVs so far: name -> float32 array (height, width, channels), linear; `color` is the beauty (RGBA)."""
+        """AOVs so far: name -> float32 array (height, width, channels), linear; `color` is the beauty (RGBA).
+        Those of guided walks (`slabNormal`, `entryAgreement`, `walkLength`, `region`, `cacheIrradiance`,
+        `techniqueShares`) only where the settings ask for them."""
 
     def stats(self) -> str:
-        """JSON with the names of the contract (`samples_per_pixel`, `seconds.total`, ...)."""
+        """JSON with the names of the contract (`samples_per_pixel`, `seconds.total`, `guide.media`, ...)."""
 
     def write_exr(self, file: str, attributes: str) -> None:
         """Writes all AOVs as one multi-layer EXR (temporary name, then renamed); `attributes` is a JSON

@@ -1,4 +1,4 @@
-"""AOVs beside the beauty, as `flat::RenderSettings::aovs` names them."""
+"""AOVs beside the beauty, as `flat::RenderSettings::aovs` names them: AOVS by default, GUIDE_AOVS where asked for."""
 
 AOVS = (
     "alpha",
@@ -12,3 +12,5 @@ AOVS = (
     "subsurface",
     "variance",
 )
+
+GUIDE_AOVS = ("slabNormal", "entryAgreement", "walkLength", "region", "cacheIrradiance", "techniqueShares")

@@ -4,7 +4,7 @@ from typing import Any
 
 from pxr import Sdf, Usd, UsdRender
 
-from .aovs import AOVS
+from .aovs import AOVS, GUIDE_AOVS
 from .reading import Reader
 
 CONFORM_POLICIES = (
@@ -32,6 +32,7 @@ DERMIS_SETTINGS: dict[str, Any] = {
     "stratifyTechniques": True,
     "controlVariates": True,
     "exitLights": "auto",
+    "guideExits": True,
     "cacheFill": "surface",
     "cacheResolution": 0,
     "subsurfaceBoundary": "auto",
@@ -40,7 +41,7 @@ DERMIS_SETTINGS: dict[str, Any] = {
 """Custom attributes `dermis:NAME` of the settings prim, with the type each has."""
 
 RAW_SOURCES = {"a": "alpha", "z": "depth", "N": "normal", "P": "position", "Neye": "normal"} | {
-    a: a for a in AOVS
+    a: a for a in (*AOVS, *GUIDE_AOVS)
 }
 
 BEAUTY_SOURCES = ("C.*[LO]", "C.*", "Ci", "color", "C")

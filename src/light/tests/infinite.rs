@@ -1,6 +1,7 @@
 //! Domes and distant lights.
 
 use super::{directions::check_directions, *};
+use crate::light::Choice;
 use crate::math::PI;
 use std::f64::consts::PI as PI64;
 
@@ -120,12 +121,12 @@ fn irradiance_of_a_sky() {
 fn sky_directions_are_distributed_as_the_pdf_says() {
     for (name, transform) in placements([5.0, 0.0, 0.0]) {
         let lights = compile_with(&[dome("Z", transform)], &sky());
-        let pdf = |wi: Vec3| lights.pdf_escaped(0, Vec3::ZERO, None, wi);
+        let pdf = |wi: Vec3| lights.pdf_escaped(0, Vec3::ZERO, None, Choice::One, wi);
         check_directions(&lights, Vec3::ZERO, None, (Vec3::Y, -1.0), pdf, name);
     }
     for n in [None, Some(Vec3::new(0.0, 0.6, 0.8))] {
         let lights = compile(&[light(LightShape::Dome { texture: String::new(), pole_axis: "Y".into() }, IDENTITY)]);
-        let pdf = |wi: Vec3| lights.pdf_escaped(0, Vec3::ZERO, n, wi);
+        let pdf = |wi: Vec3| lights.pdf_escaped(0, Vec3::ZERO, n, Choice::One, wi);
         check_directions(&lights, Vec3::ZERO, n, (Vec3::new(0.0, 0.6, 0.8), -1.0), pdf, "plain dome");
     }
 }
@@ -137,7 +138,7 @@ fn sampled_pdfs_are_the_evaluated_ones_and_no_light_is_missed() {
     let mut differing = 0;
     for _ in 0..2000 {
         let s = random.sample(&lights, Vec3::ZERO, None).unwrap();
-        let pdf = lights.pdf_escaped(0, Vec3::ZERO, None, s.wi);
+        let pdf = lights.pdf_escaped(0, Vec3::ZERO, None, Choice::One, s.wi);
         // Rounding may put a direction at a pixel's edge into its neighbour.
         differing += u32::from((pdf / s.pdf - 1.0).abs() > 1e-3);
     }
@@ -146,7 +147,7 @@ fn sampled_pdfs_are_the_evaluated_ones_and_no_light_is_missed() {
     for _ in 0..20_000 {
         let wi = crate::sampling::uniform_sphere(random.next_2d());
         let dark = one.escaped(0, wi).x == 0.0;
-        assert!(dark || one.pdf_escaped(0, Vec3::ZERO, None, wi) > 0.0);
+        assert!(dark || one.pdf_escaped(0, Vec3::ZERO, None, Choice::One, wi) > 0.0);
     }
 }
 
@@ -184,9 +185,9 @@ fn distant_radiance_is_that_of_the_cone() {
     let lights = compile(&[flat::Light { intensity: 2.0, ..distant(40.0) }]);
     let n = Vec3::new(0.6, 0.0, 0.8);
     assert_agrees(irradiance(&lights, Vec3::ZERO, n, 60_000, 6), direction_sum(&lights, 0, n), 2e-3, "40 degrees");
-    let pdf = |wi: Vec3| lights.pdf_escaped(0, Vec3::ZERO, None, wi);
+    let pdf = |wi: Vec3| lights.pdf_escaped(0, Vec3::ZERO, None, Choice::One, wi);
     check_directions(&lights, Vec3::ZERO, None, (Vec3::Z, 0.9), pdf, "40 degrees");
-    let s = lights.sample(Vec3::ZERO, None, 0.5, Vec2::splat(0.2)).unwrap();
+    let s = lights.sample(Vec3::ZERO, None, Choice::One, 0.5, Vec2::splat(0.2)).unwrap();
     assert!((pdf(s.wi) / s.pdf - 1.0).abs() < 1e-6 && lights.escaped(0, s.wi) == s.radiance);
 }
 
@@ -194,9 +195,9 @@ fn distant_radiance_is_that_of_the_cone() {
 fn angle_zero_is_a_single_direction() {
     let transform = matrix([0.0, 0.0, -4.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [7.0, 8.0, 9.0]);
     let lights = compile(&[flat::Light { transform, intensity: 3.0, ..distant(0.0) }]);
-    let s = lights.sample(Vec3::ONE, Some(Vec3::X), 0.9, Vec2::splat(0.3)).unwrap();
+    let s = lights.sample(Vec3::ONE, Some(Vec3::X), Choice::One, 0.9, Vec2::splat(0.3)).unwrap();
     assert!(s.delta && s.pdf == 1.0 && s.wi.abs_diff_eq(Vec3::X, 1e-6) && s.radiance == Vec3::splat(3.0));
     assert!(lights.infinite().is_empty());
     assert_eq!(lights.escaped(0, s.wi), Vec3::ZERO);
-    assert_eq!(lights.pdf_escaped(0, Vec3::ONE, None, s.wi), 0.0);
+    assert_eq!(lights.pdf_escaped(0, Vec3::ONE, None, Choice::One, s.wi), 0.0);
 }

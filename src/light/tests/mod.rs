@@ -8,6 +8,7 @@ mod quadrature;
 mod shapes;
 
 use super::{LightSample, Lights};
+use crate::light::Choice;
 use crate::{
     flat::{self, IDENTITY, LightShape, Matrix4d, Prims},
     sampling::sampler::Sampler,
@@ -79,7 +80,7 @@ impl Random {
 
     fn sample(&mut self, lights: &Lights, p: Vec3, n: Option<Vec3>) -> Option<LightSample> {
         let (choice, u) = (self.next(), self.next_2d());
-        lights.sample(p, n, choice, u)
+        lights.sample(p, n, Choice::One, choice, u)
     }
 }
 

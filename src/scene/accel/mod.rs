@@ -15,6 +15,7 @@ mod blas;
 mod build;
 mod collapse;
 mod lanes;
+mod nearest;
 mod node;
 mod tlas;
 mod traverse;
@@ -25,6 +26,7 @@ mod tests;
 
 pub use aabb::Aabb;
 pub use blas::{Blas, TriHit};
+pub use nearest::ClosestPoint;
 pub use tlas::Tlas;
 
 use glam::Vec3;

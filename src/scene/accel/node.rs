@@ -19,7 +19,7 @@ pub(super) const WIDEN: f32 = 1.0 + 16.0 * f32::EPSILON;
 #[repr(C, align(32))]
 pub(super) struct Node {
     /// x, y, z of the minima, then of the maxima, one lane per child. Unused lanes hold the empty box.
-    planes: [[f32; 8]; 6],
+    pub(super) planes: [[f32; 8]; 6],
     pub child: [u32; 8],
 }
 

@@ -5,6 +5,7 @@ use super::lanes::{Isa, Portable};
 use super::triangle::{Leaf, Shear};
 use super::*;
 use crate::sampling::sampler::Sampler;
+use glam::{DVec3, Mat3};
 
 fn cube(random: &mut Sampler) -> Vec3 {
     Vec3::new(random.random(), random.random(), random.random()) * 2.0 - 1.0
@@ -174,4 +175,86 @@ fn builds_are_equal() {
 fn a_tree_stays_below_a_hundred_bytes_per_triangle() {
     let blas = blas(&terrain(100, &mut Sampler::new(1, 1, 1)));
     assert!(blas.memory() < 100 * 20_000, "{} bytes", blas.memory());
+}
+
+/// Points near, on and far from the triangles.
+fn points(triangles: &[[Vec3; 3]], n: usize, random: &mut Sampler) -> Vec<Vec3> {
+    let one = |i| {
+        let [a, b, c] = triangles[((random.random() * triangles.len() as f32) as usize).min(triangles.len() - 1)];
+        match i % 5 {
+            0 => a,
+            1 => (b + c) * 0.5,
+            2 => cube(random) * 100.0,
+            3 => (a + b + c) / 3.0 + cube(random) * 1e-3,
+            _ => cube(random) * 1.5,
+        }
+    };
+    (0..n).map(one).collect()
+}
+
+/// Squared distance to a triangle after `metric`, by Voronoi regions (Ericson 2005, section 5.1.5) in f64, another
+/// formulation than the tree's. A triangle without area is its longest edge.
+fn distance_squared(metric: &Mat3, triangle: &[Vec3; 3], p: Vec3) -> f64 {
+    let [a, b, c] = triangle.map(|q| metric.as_dmat3() * (q.as_dvec3() - p.as_dvec3()));
+    let segment = |a: DVec3, b: DVec3| {
+        let t = (-a.dot(b - a) / (b - a).length_squared()).clamp(0.0, 1.0);
+        if a == b { a.length_squared() } else { a.lerp(b, t).length_squared() }
+    };
+    let n = (b - a).cross(c - a);
+    let inside = [(a, b), (b, c), (c, a)].iter().all(|&(a, b)| n.dot((b - a).cross(-a)) >= 0.0);
+    if n.length_squared() > 1e-28 && inside {
+        return n.dot(a).powi(2) / n.length_squared();
+    }
+    segment(a, b).min(segment(b, c)).min(segment(c, a))
+}
+
+#[test]
+fn closest_point_agrees_with_brute_force() {
+    let random = &mut Sampler::new(13, 14, 15);
+    let mut scenes = scenes();
+    // Points, segments and slivers among the triangles.
+    let mut thin = soup(200, 0.3, random);
+    thin.iter_mut().step_by(3).for_each(|t| t[2] = t[1]);
+    thin.iter_mut().step_by(7).for_each(|t| *t = [t[0]; 3]);
+    thin.iter_mut().step_by(5).for_each(|t| t[2] = (t[0] + t[1]) * 0.5 + cube(random) * 1e-6);
+    scenes.push(thin);
+    let stretched =
+        Mat3::from_rotation_x(0.7) * Mat3::from_diagonal(Vec3::new(3.0, 0.2, 1.0)) * Mat3::from_rotation_z(1.0);
+    for triangles in scenes {
+        let blas = blas(&triangles);
+        for p in points(&triangles, 300, random) {
+            for (metric, least) in [(Mat3::IDENTITY, 1.0), (stretched, 0.2)] {
+                let distances: Vec<f64> = triangles.iter().map(|t| distance_squared(&metric, t, p)).collect();
+                let expected = distances.iter().copied().fold(f64::INFINITY, f64::min);
+                let got = blas.closest_point_under(&metric, least, p).expect("triangles are finite");
+                // Slivers 1e-6 thin cost both formulations some digits, far below an f32's of the positions.
+                let tolerance = |distance: f64| 1e-9 + 1e-6 * distance;
+                let error = (f64::from(got.distance_squared).sqrt() - expected.sqrt()).abs();
+                assert!(error < tolerance(expected.sqrt()), "{got:?} from {p}, expected {expected}");
+                // It is the point it says, and of the triangle it says.
+                let [a, b, c] = triangles[got.triangle as usize];
+                assert!((a + got.u * (b - a) + got.v * (c - a)).distance(got.point) < 1e-6);
+                let of_triangle = distances[got.triangle as usize].sqrt();
+                assert!(of_triangle <= expected.sqrt() + tolerance(expected.sqrt()));
+                let offset = (metric * (got.point - p)).length();
+                assert!((offset - got.distance_squared.sqrt()).abs() < 1e-6 * (1.0 + p.length()), "{got:?} from {p}");
+                if least == 1.0 {
+                    assert_eq!(blas.closest_point(p), Some(got));
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn closest_point_takes_the_lowest_index_and_skips_what_is_not_finite() {
+    let triangle = [Vec3::ZERO, Vec3::X, Vec3::Y];
+    let bad = [[Vec3::NAN; 3], [Vec3::ZERO, Vec3::X, Vec3::splat(f32::INFINITY)]];
+    let mut triangles = bad.to_vec();
+    triangles.extend([triangle; 20]);
+    let got = blas(&triangles).closest_point(Vec3::new(0.25, 0.25, 2.0)).expect("a triangle");
+    assert_eq!((got.triangle, got.point, got.distance_squared), (2, Vec3::new(0.25, 0.25, 0.0), 4.0));
+    assert_eq!(blas(&triangles).closest_point(Vec3::NAN), None);
+    assert_eq!(blas(&bad).closest_point(Vec3::ZERO), None);
+    assert_eq!(blas(&[]).closest_point(Vec3::ZERO), None);
 }

@@ -25,10 +25,10 @@ pub(super) trait Visitor {
 }
 
 #[derive(Debug, Clone, Copy, Default)]
-struct Entry {
-    child: u32,
+pub(super) struct Entry {
+    pub child: u32,
     /// Where the ray enters the child's box.
-    near: f32,
+    pub near: f32,
 }
 
 impl Tree {
@@ -98,7 +98,7 @@ impl Tree {
 
 /// Inserts into the descending run `stack[first..top]`; the nearest ends on top.
 #[inline(always)]
-fn insert(stack: &mut [Entry], first: usize, top: usize, entry: Entry) {
+pub(super) fn insert(stack: &mut [Entry], first: usize, top: usize, entry: Entry) {
     let mut at = top;
     while at > first && stack[at - 1].near < entry.near {
         stack[at] = stack[at - 1];

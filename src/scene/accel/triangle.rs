@@ -17,7 +17,7 @@ pub(super) const WIDTH: usize = 8;
 #[repr(C, align(32))]
 pub(super) struct Leaf {
     /// Indexed by vertex, axis, lane.
-    p: [[[f32; 8]; 3]; 3],
+    pub(super) p: [[[f32; 8]; 3]; 3],
     /// Index of the triangle in the input.
     pub id: [u32; 8],
 }
@@ -32,6 +32,10 @@ impl Leaf {
             }
         }
         self.id[lane] = id;
+    }
+
+    pub fn corners(&self, lane: usize) -> [Vec3; 3] {
+        self.p.map(|vertex| Vec3::new(vertex[0][lane], vertex[1][lane], vertex[2][lane]))
     }
 }
 

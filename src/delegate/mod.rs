@@ -1,16 +1,17 @@
 //! The render delegate: Hydra's contract without Hydra. Prims are synced by path with dirty bits, a commit
 //! compiles what changed, a render pass runs in the background and fills AOV buffers.
 
+mod exr;
+
 use crate::error::{Error, Result, Warning};
 use crate::film::{Film, Plane};
 use crate::flat::{self, FlatScene, Prim, RenderSettings, StageInfo, validate};
+use crate::guiding::look;
 use crate::integrator::PathStats;
-use crate::output::{Attribute, Frame, Layer, Samples, write_exr};
-use crate::render::{Progress, film_for, render};
+use crate::render::{GuideStats, Progress, film_for, render};
 use crate::scene::{CompileStats, GeometryCache, Scene, compile};
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 use std::collections::BTreeMap;
-use std::path::Path;
 use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::Instant;
@@ -286,22 +287,30 @@ impl RenderDelegate {
 
     /// What the committed scene needs, what was switched on and why, what was dropped.
     pub fn explain(&self) -> Value {
-        let needs = self.scene.as_ref().map(|scene| &scene.needs);
+        let lines = |scene: &Arc<Scene>| [scene.needs.explain(), look::explain(scene, &self.flat.settings)].concat();
         json!({
-            "needs": needs,
-            "capabilities": needs.map(|needs| needs.explain()),
+            "needs": self.scene.as_ref().map(|scene| &scene.needs),
+            "capabilities": self.scene.as_ref().map(lines),
+            "media": self.media(),
             "warnings": self.warnings(),
         })
+    }
+
+    /// Which walk each medium of the committed scene takes, and why.
+    fn media(&self) -> Vec<look::MediumPlan> {
+        let scene = self.scene.as_ref().filter(|_| self.clean);
+        scene.map_or(Vec::new(), |scene| look::media(scene, &self.flat.settings, &self.flat.meshes))
     }
 
     /// The statistics of the contract.
     pub fn stats(&self) -> Value {
         let counts = self.pass.as_ref().map_or(PathStats::default(), |pass| pass.progress.stats());
         let seconds = self.pass.as_ref().map_or(0.0, Pass::render_seconds);
+        let guide = self.pass.as_ref().map(|pass| pass.progress.guide()).unwrap_or_default();
         json!({
             "settings": self.flat.settings,
             "samples_per_pixel": self.pass.as_ref().map_or(0.0, |pass| pass.film.samples_per_pixel()),
-            "seconds": { "compile": self.compiled.seconds, "train": 0.0, "render": seconds },
+            "seconds": { "compile": self.compiled.seconds, "train": guide.seconds, "render": seconds },
             "rays": { "total": counts.rays + counts.shadow_rays + counts.walk.steps,
                       "path": counts.rays, "shadow": counts.shadow_rays },
             "walks": counts.walk.walks,
@@ -311,49 +320,19 @@ impl RenderDelegate {
             "paths_trapped": counts.trapped,
             "non_finite_samples": counts.non_finite,
             "compile": self.compiled,
+            "guide": self.guide_stats(&guide, seconds),
             "peak_rss_bytes": peak_rss_bytes(),
             "needs": self.scene.as_ref().map(|scene| &scene.needs),
             "warnings": self.warnings(),
         })
     }
 
-    /// Writes every AOV as one EXR, with the statistics in the header beside `attributes`.
-    pub fn write_exr(&self, file: &Path, attributes: Map<String, Value>) -> Result<()> {
-        let (Some(scene), Some(pass)) = (&self.scene, &self.pass) else {
-            return Err(Error::Other("nothing was rendered yet".into()));
-        };
-        let window = scene.camera.data_window;
-        let frame = Frame {
-            resolution: scene.camera.size,
-            data_origin: [window.x0 as i32, window.y0 as i32],
-            data_size: [window.width(), window.height()],
-            pixel_aspect_ratio: self.flat.settings.pixel_aspect_ratio,
-        };
-        let planes = pass.film.resolve();
-        // Alpha is the beauty's fourth channel already.
-        let layers = planes.into_iter().filter(|plane| plane.name != "alpha").map(layer).collect();
-        write_exr(file, &frame, layers, &self.header(attributes))
-    }
-
-    fn header(&self, attributes: Map<String, Value>) -> Vec<(String, Attribute)> {
-        let text = |value: Value| match value {
-            Value::String(text) => text,
-            other => other.to_string(),
-        };
-        let given = attributes.into_iter().map(|(name, value)| (name, Attribute::Text(text(value))));
-        let stats = self.stats();
-        let number = |pointer: &str| stats.pointer(pointer).and_then(Value::as_f64).unwrap_or(0.0) as f32;
-        let measured = [
-            ("dermis:samplesPerPixel", "/samples_per_pixel"),
-            ("dermis:secondsRender", "/seconds/render"),
-            ("dermis:walks", "/walks"),
-            ("dermis:walkSteps", "/walk_steps"),
-            ("dermis:walksLeaked", "/walks_leaked"),
-            ("dermis:nonFiniteSamples", "/non_finite_samples"),
-        ];
-        let seed = ("dermis:seed".to_owned(), Attribute::Int(self.flat.settings.seed as i32));
-        let measured = measured.iter().map(|(name, at)| ((*name).to_owned(), Attribute::Float(number(at))));
-        given.chain(measured).chain([seed]).collect()
+    /// What was learned in a render of `seconds`, and for whom.
+    fn guide_stats(&self, guide: &GuideStats, seconds: f64) -> Value {
+        let mut stats = json!(guide);
+        stats["training_share"] = json!(if seconds > 0.0 { guide.seconds / seconds } else { 0.0 });
+        stats["media"] = json!(self.media());
+        stats
     }
 
     /// An edit makes the image stale: the render stops, the scene waits for a commit.
@@ -390,25 +369,6 @@ impl Pass {
     fn render_seconds(&self) -> f64 {
         self.seconds.unwrap_or_else(|| self.started.elapsed().as_secs_f64())
     }
-}
-
-/// A plane as EXR channels: names as compositors expect them, ids as integers.
-fn layer(plane: Plane) -> Layer<'static> {
-    let names: &[&str] = match plane.name {
-        "color" => &["R", "G", "B", "A"],
-        "depth" => &["Z"],
-        "primId" => &["id"],
-        "normal" | "position" => &["X", "Y", "Z"],
-        _ => &["R", "G", "B"],
-    };
-    let channel = |c: usize| plane.values.iter().skip(c).step_by(plane.channels);
-    let samples = |c: usize| match plane.name {
-        // -1 (nothing hit) becomes the largest id.
-        "primId" => Samples::U32(channel(c).map(|&id| id as i32 as u32).collect()),
-        _ => Samples::F32(channel(c).copied().collect()),
-    };
-    let name = if plane.name == "color" { "" } else { plane.name };
-    Layer { name, channels: names.iter().enumerate().map(|(c, n)| (*n, samples(c))).collect() }
 }
 
 /// Largest resident size so far, bytes; `None` where the system does not tell through procfs.

@@ -1,10 +1,16 @@
 //! The film: per-pixel sums of what samples brought, kept in tiles so that threads never share a pixel.
 
+mod walks;
+
+pub use walks::FirstWalk;
+
 use crate::camera::DataWindow;
 use crate::error::{Error, Result};
+use crate::flat::GUIDE_AOVS;
 use crate::math::Rgb;
 use glam::{DVec3, Vec3};
 use std::sync::Mutex;
+use walks::WalkSums;
 
 /// Side of a tile in pixels.
 const TILE: u32 = 16;
@@ -19,6 +25,8 @@ struct Planes {
     pub buckets: bool,
     /// Second moments, for the variance AOV or a noise threshold.
     pub variance: bool,
+    /// Of the first walk behind the camera ray.
+    pub walks: bool,
 }
 
 impl Planes {
@@ -30,6 +38,7 @@ impl Planes {
             albedo: has(&["albedo"]),
             buckets: has(&["direct", "indirect", "subsurface"]),
             variance: has(&["variance"]),
+            walks: has(&GUIDE_AOVS),
         }
     }
 }
@@ -96,6 +105,7 @@ pub struct Tile {
     buckets: Vec<[Rgb; 3]>,
     albedo: Vec<Rgb>,
     first: Vec<FirstHit>,
+    walks: Vec<WalkSums>,
 }
 
 impl Tile {
@@ -114,6 +124,7 @@ impl Tile {
             buckets: vec![[Rgb::ZERO; 3]; on(planes.buckets)],
             albedo: vec![Rgb::ZERO; on(planes.albedo)],
             first: vec![FirstHit::NONE; on(planes.geometry)],
+            walks: vec![WalkSums::NONE; on(planes.walks)],
         }
     }
 
@@ -139,6 +150,13 @@ impl Tile {
         }
     }
 
+    /// Adds the first walk behind the camera ray of a sample of pixel `i`, whose first surface is at `depth`.
+    pub fn add_walk(&mut self, i: usize, depth: f32, walk: &FirstWalk) {
+        if let Some(walks) = self.walks.get_mut(i) {
+            walks.add(depth, walk);
+        }
+    }
+
     /// Variance of the mean of pixel `i`, per channel; infinite below two samples.
     fn mean_variance(&self, i: usize) -> DVec3 {
         let n = f64::from(self.samples[i]);
@@ -158,7 +176,8 @@ fn check_memory(data_window: DataWindow, planes: Planes) -> Result<()> {
         + on(planes.variance, size_of::<DVec3>())
         + on(planes.buckets, size_of::<[Rgb; 3]>())
         + on(planes.albedo, size_of::<Rgb>())
-        + on(planes.geometry, size_of::<FirstHit>());
+        + on(planes.geometry, size_of::<FirstHit>())
+        + on(planes.walks, size_of::<WalkSums>());
     let (width, height) = (data_window.width(), data_window.height());
     let bytes = width as usize * height as usize * per_pixel;
     Vec::<u8>::new().try_reserve_exact(bytes).map_err(|_| {
@@ -205,6 +224,11 @@ impl Film {
             }
         }
         Ok(Self { data_window, planes, aovs: aovs.to_vec(), tiles, exposure })
+    }
+
+    /// Whether an AOV shows the first walk behind the camera ray.
+    pub fn watches_walks(&self) -> bool {
+        self.planes.walks
     }
 
     /// Calls `f` with every tile in order.
@@ -275,6 +299,9 @@ impl Film {
                 // Squares of radiances above 1e19 leave single precision: its largest number, not an infinity.
                 rgb(v.min(DVec3::splat(f64::from(f32::MAX))).as_vec3())
             }));
+        }
+        if self.planes.walks {
+            planes.extend(self.walk_planes());
         }
         planes.retain(|plane| plane.name == "color" || self.aovs.iter().any(|aov| aov == plane.name));
         planes

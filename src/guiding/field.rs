@@ -1,0 +1,174 @@
+//! The guide of one boundary: its cache, and per region the techniques of walks that start there.
+
+use super::cache::{Cache, Record};
+use super::control::Controls;
+use super::exit::{ExitGuide, ExitGuides};
+use super::learn::learn;
+use super::normals::{self, Sources};
+use super::plan::Walk;
+use super::receivers::Receivers;
+use super::statistics::{ControlSums, Sums};
+use super::weights::Profile;
+use crate::medium::Medium;
+use crate::subsurface::technique::Techniques;
+use glam::{Vec2, Vec3};
+use std::sync::OnceLock;
+
+/// Techniques of a region, and what is known of them.
+#[derive(Debug, Clone)]
+pub struct Region {
+    pub techniques: Techniques,
+    pub controls: Option<Controls>,
+    sums: Sums,
+}
+
+#[derive(Debug)]
+pub struct Field {
+    pub cache: Cache,
+    sources: Sources,
+    settings: FieldSettings,
+    /// Made when a walk first starts there, from the cache alone: threads agree.
+    regions: Vec<OnceLock<Box<Region>>>,
+    /// Choice of one region's normal: of the walks that follow the paper.
+    receivers: Option<Receivers>,
+    /// Where walks that come out go on: of the mixture.
+    exits: Option<ExitGuides>,
+    /// Where nothing was recorded.
+    pub elsewhere: Techniques,
+}
+
+/// How a field is made.
+#[derive(Debug, Clone, Copy)]
+pub struct FieldSettings {
+    pub walk: Walk,
+    pub exact: bool,
+    /// Edge of a cell, stage units.
+    pub cell: f32,
+    /// Records that saw light from which a cell is lit.
+    pub least_lit: u32,
+    /// Every cell counts as the face of its voxel: the records are not uniform over the surface.
+    pub uniform_area: bool,
+    pub normals: usize,
+    /// Share of classical walks at the start.
+    pub classical: f32,
+    pub guided_first: bool,
+    pub lights: usize,
+    pub guide_exits: bool,
+}
+
+/// How much of what older passes saw still counts: shares have moved since.
+const FADE: f64 = 0.5;
+
+/// The same of the sums for control variates: a regression hardly minds that shares have moved.
+const FADE_CONTROLS: f64 = 0.8;
+
+impl Field {
+    pub fn build(records: &[Record], medium: &Medium, settings: FieldSettings) -> Self {
+        let build = |size: f32| {
+            let mut cache = Cache::build(size, records, settings.least_lit, settings.lights);
+            if settings.uniform_area {
+                cache.means.iter_mut().for_each(|cell| cell.area = size * size);
+            }
+            cache
+        };
+        let cache = build(settings.cell);
+        let bill = settings.walk == Walk::Bill;
+        let cells = cache.means.len();
+        let conditional = matches!(settings.walk, Walk::Bono | Walk::Bill) && !settings.exact;
+        let sources = Sources::new(records, build, settings.cell, Profile::new(medium), bill);
+        Self {
+            exits: settings.guide_exits.then(|| ExitGuides::new(&sources.cache, records)),
+            sources,
+            regions: (0..cells).map(|_| OnceLock::new()).collect(),
+            receivers: conditional.then(|| Receivers::new(cells)),
+            elsewhere: normals::without_cache(settings.classical, settings.guided_first),
+            settings,
+            cache,
+        }
+    }
+
+    pub fn find(&self, p: Vec3, n: Vec3) -> Option<u32> {
+        self.cache.cells.find(p, n)
+    }
+
+    pub fn region(&self, region: u32) -> &Region {
+        self.regions[region as usize].get_or_init(|| Box::new(self.first_region(region)))
+    }
+
+    /// Regions where a walk has started.
+    pub fn started(&self) -> impl Iterator<Item = &Region> {
+        self.regions.iter().filter_map(|region| region.get().map(Box::as_ref))
+    }
+
+    pub fn walk(&self) -> Walk {
+        self.settings.walk
+    }
+
+    fn first_region(&self, region: u32) -> Region {
+        let FieldSettings { walk, exact, normals, classical, guided_first, .. } = self.settings;
+        let receiver = &self.cache.means[region as usize];
+        let techniques = match (walk, exact) {
+            (Walk::Mixture, _) => {
+                Some(normals::initial_techniques(&self.sources, receiver, normals, classical, guided_first))
+            }
+            (Walk::Bono | Walk::Bill, true) => {
+                normals::paper_techniques(&self.sources, receiver, classical, guided_first)
+            }
+            _ => None,
+        };
+        // Where no light is known the point of entry's normal is left, here that of the region.
+        let mut poe = self.elsewhere;
+        poe.set_normal(0, receiver.normal);
+        Region { techniques: techniques.unwrap_or(poe), controls: None, sums: Sums::default() }
+    }
+
+    /// The paper's choice of a slab normal for a walk that starts in `region`.
+    pub fn slab_normal(&self, region: u32, u: (f32, f32), u_direction: Vec2) -> Option<Vec3> {
+        let receiver = &self.cache.means[region as usize];
+        self.receivers.as_ref()?.sample(&self.sources, region, receiver, u, u_direction)
+    }
+
+    /// Where a walk that comes out at `p` with outward normal `n` finds indirect light.
+    pub fn exit(&self, p: Vec3, n: Vec3) -> Option<&ExitGuide> {
+        self.exits.as_ref()?.find(self.sources.cache.cells.find(p, n)?)
+    }
+
+    /// Whether walks have anything to teach: not those that are weighted by one normal.
+    pub fn learns(&self) -> bool {
+        self.settings.exact
+    }
+
+    /// Takes in what a pass has seen of `region`; `share`s and `controls` as asked for.
+    pub fn learn(&mut self, region: u32, seen: &Sums, shares: Option<f64>, controls: bool) {
+        // Shares may move: the mixture's, not those of a walk of the literature.
+        let shares = shares.filter(|_| self.settings.walk == Walk::Mixture);
+        let Some(region) = self.regions[region as usize].get_mut() else { return };
+        region.sums.fade(FADE);
+        if let Some(old) = &mut region.sums.controls {
+            old.fade(FADE_CONTROLS);
+        }
+        region.sums.merge(seen);
+        // The controls were seen under the shares that this pass had.
+        if let (true, Some(sums)) = (controls, &region.sums.controls) {
+            region.controls = Controls::fit(sums, &region.techniques.shares);
+        }
+        if let Some(classical) = shares {
+            learn(&mut region.techniques, &region.sums, classical);
+        }
+    }
+
+    /// Regions, and those of them that are lit.
+    pub fn counts(&self) -> [usize; 2] {
+        [self.cache.means.len(), self.cache.means.iter().filter(|cell| cell.lit).count()]
+    }
+
+    pub fn memory(&self) -> usize {
+        let of_region = |region: &Region| {
+            size_of::<Region>() + region.sums.controls.as_ref().map_or(0, |_| size_of::<ControlSums>())
+        };
+        let regions = self.regions.iter().map(|region| 16 + region.get().map_or(0, |region| of_region(region)));
+        let caches = self.cache.memory() + self.sources.cache.memory();
+        let caches = caches + self.exits.as_ref().map_or(0, ExitGuides::memory);
+        caches + regions.sum::<usize>() + self.receivers.as_ref().map_or(0, Receivers::memory)
+    }
+}

@@ -1,0 +1,220 @@
+//! Guiding: what steers subsurface walks, learned at the boundary of each medium.
+//!
+//! `plan` decides per medium, `cache` holds what light reaches the boundary (`cells`, filled by the renderer), `weights` and `normals`
+//! turn it into slab normals per region (`field`), or `receivers` into the paper's choice of one; `statistics` of the walks then
+//! move the shares (`learn`) and fit control variates (`control`). A guide does not change while a pass renders.
+
+pub mod cache;
+mod cells;
+pub mod control;
+pub mod exit;
+pub mod field;
+pub mod fit;
+pub mod learn;
+pub mod look;
+mod normals;
+pub mod plan;
+mod receivers;
+pub mod statistics;
+pub mod vmf;
+mod weights;
+
+use crate::flat::RenderSettings;
+use crate::light::Choice;
+use crate::scene::Scene;
+use crate::subsurface::technique::{GuidedMedium, Techniques};
+use control::Controls;
+use exit::ExitGuide;
+use field::Field;
+use glam::{Vec2, Vec3};
+use plan::{Plan, Walk, plans};
+use statistics::{RegionId, Statistics};
+
+/// How the lights of a point where a walk comes out are sampled.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ExitLights {
+    One,
+    All,
+    /// One, by the visible shares that its region learned.
+    Learned,
+}
+
+/// Most lights that are all sampled at an exit: each costs a shadow ray (mixture_3d.md section 5).
+const FEW_LIGHTS: usize = 8;
+
+/// Light samples at an exit, shared by the lights where all are sampled: a shadow ray costs a tenth of the path that
+/// led there.
+const EXIT_SAMPLES: u32 = 4;
+
+impl ExitLights {
+    /// As asked for, or by how many lights there are.
+    fn of(scene: &Scene, settings: &RenderSettings) -> Self {
+        match settings.exit_lights.as_str() {
+            "one" => Self::One,
+            "all" => Self::All,
+            "learned" => Self::Learned,
+            _ if scene.lights.len() <= FEW_LIGHTS => Self::All,
+            _ => Self::Learned,
+        }
+    }
+}
+
+/// What guides the walks of a scene.
+pub struct Guide {
+    /// By surface; `None`: no scattering medium.
+    pub plans: Vec<Option<Plan>>,
+    /// By surface.
+    media: Vec<Option<GuidedMedium>>,
+    /// By instance; `None`: nothing to know about its boundary.
+    pub fields: Vec<Option<Field>>,
+    pub exit_lights: ExitLights,
+    /// Samples of each light where all are sampled at an exit.
+    light_samples: u32,
+    pub guided_first: bool,
+    pub classical: f32,
+    pub stratify: bool,
+    learn_shares: bool,
+    pub controls: bool,
+    /// First number of each instance's regions; empty: no AOV asks for them.
+    numbers: Vec<u32>,
+}
+
+/// What a walk of the exact mixture starts with.
+pub struct Start<'a> {
+    pub techniques: Techniques,
+    pub region: Option<RegionId>,
+    pub controls: Option<&'a Controls>,
+}
+
+impl Guide {
+    /// Plans and kernels; fields are to be filled where a plan needs them.
+    pub fn new(scene: &Scene, settings: &RenderSettings) -> Self {
+        let plans = plans(scene, settings);
+        let media = plans.iter().zip(&scene.surfaces).map(|(plan, coating)| {
+            let interior = plan.as_ref().and(coating.interior)?;
+            Some(GuidedMedium::new(interior.medium))
+        });
+        Self {
+            media: media.collect(),
+            fields: scene.instances.iter().map(|_| None).collect(),
+            plans,
+            light_samples: (EXIT_SAMPLES / scene.lights.len().max(1) as u32).max(1),
+            exit_lights: ExitLights::of(scene, settings),
+            guided_first: settings.first_distance != "classical",
+            classical: settings.classical_fraction,
+            stratify: settings.stratify_techniques,
+            learn_shares: settings.learn_shares,
+            controls: settings.control_variates,
+            numbers: Vec::new(),
+        }
+    }
+
+    pub fn plan(&self, surface: u32) -> Option<(&Plan, &GuidedMedium)> {
+        Some((self.plans[surface as usize].as_ref()?, self.media[surface as usize].as_ref()?))
+    }
+
+    /// Share of classical walks that a field starts with.
+    pub fn start_fraction(&self, mixture: bool) -> f32 {
+        if mixture { self.classical.max(normals::CLASSICAL_START) } else { self.classical }
+    }
+
+    fn region(&self, instance: u32, p: Vec3, n: Vec3) -> Option<RegionId> {
+        let field = self.fields[instance as usize].as_ref()?;
+        Some(RegionId { instance, region: field.find(p, n)? })
+    }
+
+    /// Techniques of an exact walk that enters `instance` at `p` (walk space), outward normal `n`.
+    pub fn start(&self, walk: Walk, instance: u32, p: Vec3, n: Vec3) -> Start<'_> {
+        let Some(field) = self.fields[instance as usize].as_ref().filter(|_| !matches!(walk, Walk::Poe | Walk::Cp))
+        else {
+            let techniques = normals::without_cache(self.classical, self.guided_first && walk != Walk::Cp);
+            return Start { techniques: at_entry(techniques, n), region: None, controls: None };
+        };
+        let entry = |techniques: Techniques| if walk == Walk::Mixture { at_entry(techniques, n) } else { techniques };
+        match self.region(instance, p, n) {
+            Some(region) => {
+                let of = field.region(region.region);
+                Start { techniques: entry(of.techniques), region: Some(region), controls: of.controls.as_ref() }
+            }
+            None => Start { techniques: at_entry(field.elsewhere, n), region: None, controls: None },
+        }
+    }
+
+    /// The paper's choice of a slab normal for a walk that enters `instance` at `p` (walk space), outward normal `n`.
+    pub fn slab_normal(&self, instance: u32, p: Vec3, n: Vec3, u: (f32, f32), u_direction: Vec2) -> Option<Vec3> {
+        let field = self.fields[instance as usize].as_ref()?;
+        field.slab_normal(field.find(p, n)?, u, u_direction)
+    }
+
+    /// The lights of a point where light leaves or enters a medium.
+    pub fn exit_choice(&self, instance: u32, p: Vec3, n: Vec3) -> LightsAt {
+        match self.exit_lights {
+            ExitLights::One => LightsAt::One,
+            ExitLights::All => LightsAt::All,
+            ExitLights::Learned => self.region(instance, p, n).map_or(LightsAt::One, LightsAt::Region),
+        }
+    }
+
+    /// Where a walk that comes out of `instance` at `p` (walk space), outward normal `n`, finds indirect light.
+    pub fn exit(&self, instance: u32, p: Vec3, n: Vec3) -> Option<&ExitGuide> {
+        self.fields[instance as usize].as_ref()?.exit(p, n)
+    }
+
+    /// The lights of the first surface behind a pixel: what is seen directly deserves them all where they are few.
+    pub fn first_hit_choice(&self) -> LightsAt {
+        if self.exit_lights == ExitLights::All { LightsAt::Each } else { LightsAt::One }
+    }
+
+    /// The choice that `exit_choice` stands for.
+    pub fn choice(&self, at: LightsAt) -> Choice<'_> {
+        match at {
+            LightsAt::One => Choice::One,
+            LightsAt::All => Choice::All(self.light_samples),
+            LightsAt::Each => Choice::All(1),
+            LightsAt::Region(at) => self.fields[at.instance as usize]
+                .as_ref()
+                .map_or(Choice::One, |field| Choice::Weighted(field.cache.visibility(at.region))),
+        }
+    }
+
+    /// Whether walks have anything to teach.
+    pub fn learns(&self) -> bool {
+        (self.learn_shares || self.controls) && self.fields.iter().flatten().any(Field::learns)
+    }
+
+    /// Takes in the statistics of a pass.
+    pub fn learn(&mut self, seen: &Statistics) {
+        for (at, sums) in seen {
+            let classical = f64::from(self.classical).max(learn::CLASSICAL_FLOOR);
+            if let Some(field) = &mut self.fields[at.instance as usize] {
+                field.learn(at.region, sums, self.learn_shares.then_some(classical), self.controls);
+            }
+        }
+    }
+
+    /// Regions of all fields, and those of them that are lit.
+    pub fn counts(&self) -> [usize; 2] {
+        self.fields.iter().flatten().map(Field::counts).fold([0, 0], |a, b| [a[0] + b[0], a[1] + b[1]])
+    }
+
+    pub fn memory(&self) -> usize {
+        self.fields.iter().flatten().map(Field::memory).sum()
+    }
+}
+
+/// How a vertex sampled its lights: what MIS needs to know when its next segment meets one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum LightsAt {
+    One,
+    /// Each once.
+    Each,
+    /// Each as often as an exit deserves.
+    All,
+    Region(RegionId),
+}
+
+/// With the normal of the point of entry in lane 0.
+fn at_entry(mut techniques: Techniques, n: Vec3) -> Techniques {
+    techniques.set_normal(0, n);
+    techniques
+}

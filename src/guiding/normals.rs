@@ -1,0 +1,185 @@
+//! Slab normals of a receiving cell: those of the cells that its light comes from.
+
+use super::cache::{Cache, Cell, Record};
+use super::weights::Profile;
+use crate::math::{Rgb, mean};
+use crate::subsurface::technique::{LANES, Techniques};
+use glam::Vec3;
+use std::f32::consts::TAU;
+
+/// Directions that weights are gathered in before they are clustered: the cost is then that of the bins.
+const BINS: usize = 96;
+
+/// A gathered direction: its mean normal, not unit, and its weight per channel.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Gathered {
+    sum: Vec3,
+    weight: Rgb,
+}
+
+/// What sends light to the cells of a boundary.
+#[derive(Debug, Clone)]
+pub struct Sources {
+    /// Coarse enough that there are not many.
+    pub cache: Cache,
+    pub profile: Profile,
+    /// Numbers of the lit cells.
+    pub lit: Vec<u32>,
+}
+
+/// Most sources of a receiver: clusters of them do not change with more, and the cost is theirs.
+const MOST_SOURCES: usize = 1024;
+
+impl Sources {
+    /// From the cache at `size`, or twice that as often as it takes.
+    pub fn new(records: &[Record], build: impl Fn(f32) -> Cache, size: f32, profile: Profile, bill: bool) -> Self {
+        let mut size = size;
+        loop {
+            let cache = build(size);
+            let lit: Vec<u32> = (0..cache.means.len() as u32).filter(|&i| cache.means[i as usize].lit).collect();
+            if lit.len() <= MOST_SOURCES {
+                let cache = if bill { cache.with_incident(records) } else { cache };
+                return Self { cache, profile, lit };
+            }
+            size *= 2.0;
+        }
+    }
+
+    /// The source that a receiver lies in, as place in `lit`.
+    pub fn own(&self, receiver: &Cell) -> Option<usize> {
+        let cell = self.cache.cells.find(receiver.point, receiver.normal)?;
+        self.lit.binary_search(&cell).ok()
+    }
+
+    /// Weight of each lit cell for a receiver, per channel; its own by its disk.
+    pub fn weights(&self, receiver: &Cell) -> impl Iterator<Item = (u32, &Cell, Rgb)> {
+        let (own, receiver) = (self.own(receiver), *receiver);
+        self.lit.iter().enumerate().map(move |(place, &at)| {
+            let source = &self.cache.means[at as usize];
+            let weight = if own == Some(place) {
+                self.profile.of_own(source)
+            } else {
+                self.profile.of_cell(receiver.point, receiver.normal, source)
+            };
+            (at, source, weight)
+        })
+    }
+}
+
+/// Cosine to the receiver's own normal above which light is the point of entry's to follow.
+const OWN: f32 = 0.94;
+
+/// Share of a mixture that starts as classical walks (mixture_3d.md section 5).
+pub const CLASSICAL_START: f32 = 0.1;
+
+/// Share of the start that all normals have in equal parts: learning must find what the weights deny.
+const EVEN: f32 = 0.5;
+
+/// The mixture that a receiver starts with: the point of entry in lane 0, clustered normals, classical.
+pub fn initial_techniques(
+    sources: &Sources,
+    receiver: &Cell,
+    normals: usize,
+    classical: f32,
+    guided_first: bool,
+) -> Techniques {
+    let own = receiver.normal;
+    let mut bins = [Gathered::default(); BINS];
+    let mut near = Rgb::ZERO;
+    for (_, source, weight) in sources.weights(receiver) {
+        if source.normal.dot(own) > OWN {
+            near += weight;
+        } else {
+            let bin = &mut bins[bin_of(source.normal)];
+            bin.sum += source.normal * mean(weight);
+            bin.weight += weight;
+        }
+    }
+    let clusters = cluster(&bins, normals.min(LANES - 1));
+    let mut lanes = vec![(own, near)];
+    lanes.extend(clusters);
+    techniques(&lanes, classical, guided_first)
+}
+
+/// A mixture of the given normals (lane 0 first) by their weights per channel.
+fn techniques(lanes: &[(Vec3, Rgb)], classical: f32, guided_first: bool) -> Techniques {
+    let mut techniques = Techniques { guided_first, ..Techniques::default() };
+    let total: Rgb = lanes.iter().map(|lane| lane.1).sum();
+    let even = 1.0 / lanes.len() as f32;
+    for (i, (normal, weight)) in lanes.iter().enumerate() {
+        techniques.set_normal(i, *normal);
+        for c in 0..3 {
+            let share = if total[c] > 0.0 { EVEN * even + (1.0 - EVEN) * weight[c] / total[c] } else { even };
+            techniques.shares.guided[c][i] = (1.0 - classical) / 3.0 * share;
+        }
+    }
+    techniques.shares.classical = [classical / 3.0; 3];
+    techniques
+}
+
+/// Point of entry and classical walks alone: where nothing is known.
+pub fn without_cache(classical: f32, guided_first: bool) -> Techniques {
+    techniques(&[(Vec3::Z, Rgb::ONE)], classical, guided_first)
+}
+
+/// The paper's normals without a point of entry, as the marginal over clusters of them: those of the lit cells, or the
+/// directions of the light there. `None` where nothing is lit.
+pub fn paper_techniques(sources: &Sources, receiver: &Cell, classical: f32, guided_first: bool) -> Option<Techniques> {
+    let mut bins = [Gathered::default(); BINS];
+    let mut gather = |n: Vec3, weight: Rgb| {
+        let bin = &mut bins[bin_of(n)];
+        bin.sum += n * mean(weight);
+        bin.weight += weight;
+    };
+    for (at, source, weight) in sources.weights(receiver) {
+        match sources.cache.incident.get(at as usize) {
+            Some(Some(incident)) => {
+                incident.lobes().for_each(|(share, lobe)| gather(lobe.mean, weight * share));
+            }
+            Some(None) => {}
+            None => gather(source.normal, weight),
+        }
+    }
+    let clusters = cluster(&bins, LANES);
+    (!clusters.is_empty()).then(|| techniques(&clusters, classical, guided_first))
+}
+
+/// Of equal bands in z, each cut into equal angles: 8 x 12.
+fn bin_of(n: Vec3) -> usize {
+    let band = ((n.z * 0.5 + 0.5) * 8.0).clamp(0.0, 7.0) as usize;
+    let sector = ((n.y.atan2(n.x) / TAU + 0.5) * 12.0).clamp(0.0, 11.0) as usize;
+    band * 12 + sector
+}
+
+/// At most `k` unit normals with their weights: greedy farthest and heaviest first, then Lloyd's iterations.
+pub fn cluster(bins: &[Gathered], k: usize) -> Vec<(Vec3, Rgb)> {
+    let bins: Vec<(Vec3, f32, Rgb)> = bins
+        .iter()
+        .filter(|bin| bin.sum.length() > 0.0)
+        .map(|bin| (bin.sum.normalize(), mean(bin.weight), bin.weight))
+        .collect();
+    let mut centres: Vec<Vec3> = Vec::new();
+    while centres.len() < k.min(bins.len()) {
+        let cost = |n: Vec3, weight: f32| weight * centres.iter().map(|c| 1.0 - c.dot(n)).fold(2.0, f32::min);
+        let Some(best) = bins.iter().max_by(|a, b| cost(a.0, a.1).total_cmp(&cost(b.0, b.1))) else { break };
+        if cost(best.0, best.1) <= 0.0 {
+            break;
+        }
+        centres.push(best.0);
+    }
+    let mut weights = Vec::new();
+    for _ in 0..4 {
+        let mut sums = vec![(Vec3::ZERO, Rgb::ZERO); centres.len()];
+        for (n, weight, rgb) in &bins {
+            let nearest = (0..centres.len()).max_by(|&a, &b| centres[a].dot(*n).total_cmp(&centres[b].dot(*n)));
+            let Some(nearest) = nearest else { break };
+            sums[nearest].0 += *n * *weight;
+            sums[nearest].1 += *rgb;
+        }
+        for (centre, (sum, _)) in centres.iter_mut().zip(&sums) {
+            *centre = sum.normalize_or(*centre);
+        }
+        weights = sums;
+    }
+    centres.into_iter().zip(weights).map(|(n, (_, weight))| (n, weight)).collect()
+}

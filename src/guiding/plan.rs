@@ -1,0 +1,82 @@
+//! Which walk each medium takes, and why.
+
+use crate::flat::RenderSettings;
+use crate::medium::Medium;
+use crate::scene::Scene;
+use serde::Serialize;
+
+/// A walk by what its slab normals come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Walk {
+    Classical,
+    /// Normal of the point of entry.
+    Poe,
+    /// Closest boundary point to the first collision (Meng et al. 2016).
+    Cp,
+    /// A point of a light as seen from the first collision (Meng et al. 2016).
+    Ii,
+    /// Normals of lit boundary regions (Gouder et al. 2025).
+    Bono,
+    /// Directions of incident light at lit boundary regions (Gouder et al. 2025).
+    Bill,
+    /// All of clustered boundary normals, point of entry and classical, with learned shares.
+    Mixture,
+}
+
+/// What is done for one medium.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Plan {
+    pub walk: Walk,
+    /// Weighted by the marginal over all techniques; else by the one that was drawn.
+    pub exact: bool,
+    pub why: String,
+}
+
+impl Plan {
+    /// Whether regions of the boundary have to be known.
+    pub fn needs_cache(&self) -> bool {
+        matches!(self.walk, Walk::Bono | Walk::Bill | Walk::Mixture)
+    }
+}
+
+/// Mean free paths across the object below which most light crosses it without a collision to guide.
+const THIN: f32 = 1.0;
+
+/// A plan for every surface with a scattering medium.
+pub fn plans(scene: &Scene, settings: &RenderSettings) -> Vec<Option<Plan>> {
+    let mut plans: Vec<Option<Plan>> = vec![None; scene.surfaces.len()];
+    for (index, coating) in scene.surfaces.iter().enumerate() {
+        let Some(interior) = coating.interior.filter(|interior| interior.medium.scatters()) else { continue };
+        let Some(owner) = scene.owner(index) else { continue };
+        plans[index] = Some(plan(settings, &interior.medium, owner.thickness(), scene.is_lit()));
+    }
+    plans
+}
+
+fn plan(settings: &RenderSettings, medium: &Medium, thickness: f32, lit: bool) -> Plan {
+    let asked = |walk, exact| Plan { walk, exact, why: format!("walk={} asked for", settings.walk) };
+    let exact = settings.walk_pdf != "conditional";
+    match settings.walk.as_str() {
+        "classical" => asked(Walk::Classical, false),
+        "poe" => asked(Walk::Poe, exact),
+        "cp" => asked(Walk::Cp, exact),
+        "ii" => asked(Walk::Ii, false),
+        "bono" => asked(Walk::Bono, exact),
+        "bill" => asked(Walk::Bill, exact),
+        "mixture" => asked(Walk::Mixture, exact),
+        _ => automatic(medium, thickness, lit, exact),
+    }
+}
+
+fn automatic(medium: &Medium, thickness: f32, lit: bool, exact: bool) -> Plan {
+    let depth = medium.sigma_t.max_element() * thickness;
+    let classical = |why: String| Plan { walk: Walk::Classical, exact: false, why };
+    if !lit {
+        return classical("nothing emits light, so there is no light to walk to".into());
+    }
+    if depth < THIN {
+        return classical(format!("{depth:.2} mean free paths across: most light passes without a collision"));
+    }
+    Plan { walk: Walk::Mixture, exact, why: format!("{depth:.0} mean free paths across, lit") }
+}

@@ -1,0 +1,250 @@
+//! Filling the boundary caches before the first pass.
+//!
+//! Points are spread uniformly over the boundary, which reaches the back of an ear that no walk has found yet, or
+//! found as the paper does, where camera paths enter and where classical walks come out.
+
+use crate::flat::RenderSettings;
+use crate::guiding::cache::Record;
+use crate::guiding::field::{Field, FieldSettings};
+use crate::guiding::plan::{Plan, Walk};
+use crate::guiding::{ExitLights, Guide};
+use crate::integrator::{PathStats, probe};
+use crate::math::{Frame, Rgb};
+use crate::medium::Medium;
+use crate::sampling::cosine_hemisphere;
+use crate::sampling::distribution::Distribution1D;
+use crate::sampling::sampler::Sampler;
+use crate::scene::{BoundaryHit, InstanceEnclosure, Scene};
+use crate::subsurface::kernel::diffusion_length;
+use crate::subsurface::steps::{Start, WalkEnd, WalkStats};
+use crate::subsurface::walk::{Along, walk};
+use glam::{Vec2, Vec3};
+use rayon::prelude::*;
+
+/// Apart from the samples of the image.
+const SEED: u32 = 0x7261_6e64;
+
+/// Camera samples per boundary record: training is then a few percent of a render.
+const SAMPLES_PER_RECORD: u64 = 10;
+
+/// Samples per pixel that training is made for; more samples do not need more.
+const ENOUGH_SAMPLES: u32 = 64;
+
+const RECORDS: std::ops::RangeInclusive<u64> = 8_000..=400_000;
+
+/// Pixels across a cell: some hundred walks start there within the first passes (mixture_3d.md section 5).
+const PIXELS: f32 = 6.0;
+
+/// Records per cell on average, at least.
+const RECORDS_PER_CELL: f32 = 8.0;
+
+/// The paper's rule for records that come from walks.
+const LEAST_LIT_BY_WALKS: u32 = 32;
+
+/// With some records per cell everywhere, two that see light are no accident.
+const LEAST_LIT: u32 = 2;
+
+/// Smallest and largest cell relative to the longest side of the object.
+const CELL_RANGE: [f32; 2] = [1.0 / 128.0, 1.0 / 4.0];
+
+/// Fills the fields of `guide` that its plans need; counts what it took.
+pub fn train(scene: &Scene, settings: &RenderSettings, guide: &mut Guide) -> (PathStats, u64) {
+    let mut stats = PathStats::default();
+    let mut records = 0;
+    for instance in 0..scene.instances.len() as u32 {
+        let Some(boundary) = BoundaryOf::new(scene, guide, instance) else { continue };
+        let count = record_count(scene, settings);
+        let (found, seen) = match settings.cache_fill.as_str() {
+            "camera" => boundary.records_by_walks(guide, settings, count),
+            _ => boundary.records_by_area(guide, settings.seed, count),
+        };
+        stats.add(&seen);
+        records += found.len() as u64;
+        let field = Field::build(&found, &boundary.medium, boundary.field_settings(settings, guide, found.len()));
+        guide.fields[instance as usize] = Some(field);
+    }
+    (stats, records)
+}
+
+fn record_count(scene: &Scene, settings: &RenderSettings) -> u32 {
+    let window = scene.camera.data_window;
+    let pixels = u64::from(window.width()) * u64::from(window.height());
+    let samples = pixels * u64::from(settings.samples.min(ENOUGH_SAMPLES));
+    (samples / SAMPLES_PER_RECORD).clamp(*RECORDS.start(), *RECORDS.end()) as u32
+}
+
+/// The part of an instance's surface that a medium lies behind.
+struct BoundaryOf<'a> {
+    scene: &'a Scene,
+    instance: u32,
+    enclosure: InstanceEnclosure<'a>,
+    triangles: Vec<u32>,
+    areas: Distribution1D,
+    medium: Medium,
+    plan: Plan,
+    /// -1 where the mesh is inside out.
+    outward: f32,
+}
+
+impl<'a> BoundaryOf<'a> {
+    /// `None`: no plan needs to know this boundary.
+    fn new(scene: &'a Scene, guide: &Guide, instance: u32) -> Option<Self> {
+        let of = &scene.instances[instance as usize];
+        let planned = |triangle: u32| {
+            let plan = guide.plan(of.surfaces + of.geometry.slot(triangle) as u32)?;
+            (plan.0.needs_cache() || guide.exit_lights == ExitLights::Learned).then_some(plan)
+        };
+        let triangles: Vec<u32> =
+            (0..of.geometry.triangles.len() as u32).filter(|&triangle| planned(triangle).is_some()).collect();
+        let (plan, medium) = planned(*triangles.first()?)?;
+        let edges = |triangle: u32| {
+            let [a, b, c] = of.geometry.corners(triangle).map(|p| of.to_render.linear * p);
+            (a, (b - a).cross(c - a))
+        };
+        let areas = Distribution1D::new(triangles.iter().map(|&t| f64::from(0.5 * edges(t).1.length())))?;
+        // Six times the signed volume, in object space: inside out if negative.
+        let volume: f32 = (0..of.geometry.triangles.len() as u32)
+            .map(|t| of.geometry.corners(t))
+            .map(|[a, b, c]| a.dot(b.cross(c)))
+            .sum();
+        Some(Self {
+            scene,
+            instance,
+            enclosure: InstanceEnclosure::new(scene, instance),
+            medium: medium.medium,
+            plan: plan.clone(),
+            triangles,
+            areas,
+            outward: if volume < 0.0 { -1.0 } else { 1.0 },
+        })
+    }
+
+    /// Records at points uniform over the surface.
+    fn records_by_area(&self, guide: &Guide, seed: u32, count: u32) -> (Vec<Record>, PathStats) {
+        let area = (self.areas.sum() / f64::from(count)) as f32;
+        let record = |i: u32| {
+            let mut sampler = Sampler::new(seed ^ SEED, self.instance, i);
+            let mut stats = PathStats::default();
+            let u = (f64::from(i) + f64::from(sampler.random())) / f64::from(count);
+            let triangle = self.triangles[self.areas.sample(u.min(1.0 - 1e-12)).0];
+            let hit = uniform_point(triangle, Vec2::new(sampler.random(), sampler.random()));
+            (self.probe(guide, &hit, area, &mut sampler, &mut stats), stats)
+        };
+        collect((0..count).into_par_iter().map(record))
+    }
+
+    fn probe(
+        &self,
+        guide: &Guide,
+        hit: &BoundaryHit,
+        area: f32,
+        sampler: &mut Sampler,
+        stats: &mut PathStats,
+    ) -> Record {
+        let of = &self.scene.instances[self.instance as usize];
+        let [a, b, c] = of.geometry.corners(hit.triangle);
+        let outward = self.outward * of.to_render.normal((b - a).cross(c - a)).normalize_or(Vec3::Z);
+        probe(self.scene, guide, &self.enclosure, hit, outward, area, sampler, stats)
+    }
+
+    /// Records where camera rays enter and where classical walks from there come out.
+    fn records_by_walks(&self, guide: &Guide, settings: &RenderSettings, count: u32) -> (Vec<Record>, PathStats) {
+        let window = self.scene.camera.data_window;
+        let pair = |i: u32| {
+            let mut sampler = Sampler::new(settings.seed ^ SEED, self.instance, i);
+            let mut stats = PathStats::default();
+            let at = Vec2::new(sampler.random(), sampler.random());
+            let size = Vec2::new(window.width() as f32, window.height() as f32);
+            let raster = Vec2::new(window.x0 as f32, window.y0 as f32) + at * size;
+            let ray = self.scene.camera.ray(raster, Vec2::splat(0.5));
+            let hit = self.scene.closest(ray.o, ray.d, ray.t_max, None)?;
+            let of = &self.scene.instances[self.instance as usize];
+            let ours = hit.instance == self.instance
+                && guide.plan(of.surfaces + of.geometry.slot(hit.triangle) as u32).is_some();
+            if !ours {
+                return None;
+            }
+            let entry = BoundaryHit { triangle: hit.triangle, u: hit.u, v: hit.v };
+            let mut records = vec![self.probe(guide, &entry, 1.0, &mut sampler, &mut stats)];
+            let normal = records[0].n;
+            let u = Vec2::new(sampler.random(), sampler.random());
+            let d = -Frame::from_normal(normal).to_world(cosine_hemisphere(u));
+            let start = Start { p: self.enclosure.point(&entry), d, normal, hit: entry, weight: Rgb::ONE };
+            let mut walks = WalkStats::default();
+            let end = walk(
+                &self.enclosure,
+                &self.medium,
+                Along::None,
+                start,
+                &mut sampler,
+                &mut walks,
+                |_, _| None,
+                |_, _| (),
+            );
+            stats.walk.add(&walks);
+            if let WalkEnd::Boundary { hit, .. } = end {
+                records.push(self.probe(guide, &hit, 1.0, &mut sampler, &mut stats));
+            }
+            Some((records, stats))
+        };
+        let found: Vec<(Vec<Record>, PathStats)> = (0..count / 2).into_par_iter().filter_map(pair).collect();
+        let mut stats = PathStats::default();
+        found.iter().for_each(|(_, seen)| stats.add(seen));
+        (found.into_iter().flat_map(|(records, _)| records).collect(), stats)
+    }
+
+    fn field_settings(&self, settings: &RenderSettings, guide: &Guide, records: usize) -> FieldSettings {
+        let by_walks = settings.cache_fill == "camera";
+        FieldSettings {
+            walk: self.plan.walk,
+            exact: self.plan.exact,
+            cell: self.cell(settings, records),
+            least_lit: if by_walks { LEAST_LIT_BY_WALKS } else { LEAST_LIT },
+            uniform_area: by_walks,
+            normals: settings.normals as usize,
+            classical: guide.start_fraction(self.plan.walk == Walk::Mixture),
+            guided_first: guide.guided_first,
+            lights: self.scene.lights.len(),
+            guide_exits: settings.guide_exits && self.plan.walk == Walk::Mixture,
+        }
+    }
+
+    /// Edge of a cell: about the longest diffusion length, over which light mixes, and no fewer pixels or records
+    /// than it takes to learn from.
+    fn cell(&self, settings: &RenderSettings, records: usize) -> f32 {
+        let of = &self.scene.instances[self.instance as usize];
+        let longest = 2.0 * of.half_size().max_element();
+        if settings.cache_resolution > 0 {
+            return longest / settings.cache_resolution as f32;
+        }
+        let lengths =
+            [0, 1, 2].map(|c| diffusion_length(self.medium.albedo[c], self.medium.g) / self.medium.sigma_t[c]);
+        let mixing = lengths.into_iter().filter(|l| l.is_finite()).fold(0.0, f32::max);
+        let by_records = (RECORDS_PER_CELL * self.areas.sum() as f32 / records.max(1) as f32).sqrt();
+        let cell = mixing.max(by_records).max(PIXELS * self.pixel_size());
+        cell.clamp(CELL_RANGE[0] * longest, CELL_RANGE[1] * longest)
+    }
+
+    /// Side of a pixel at the near side of the object.
+    fn pixel_size(&self) -> f32 {
+        let of = &self.scene.instances[self.instance as usize];
+        let distance = (of.to_render.translation.length() - of.half_size().length()).max(of.half_size().min_element());
+        let camera = &self.scene.camera;
+        let middle = Vec2::new(camera.size[0] as f32, camera.size[1] as f32) * 0.5;
+        let [a, b] = [middle, middle + Vec2::X].map(|raster| camera.ray(raster, Vec2::splat(0.5)));
+        (b.o + b.d * distance - a.o - a.d * distance).length()
+    }
+}
+
+/// Uniform over a triangle (Heitz 2019 is not needed: no stratification to keep).
+fn uniform_point(triangle: u32, u: Vec2) -> BoundaryHit {
+    let s = u.x.sqrt();
+    BoundaryHit { triangle, u: 1.0 - s, v: u.y * s }
+}
+
+fn collect(found: impl IndexedParallelIterator<Item = (Record, PathStats)>) -> (Vec<Record>, PathStats) {
+    let (records, seen): (Vec<Record>, Vec<PathStats>) = found.unzip();
+    let mut stats = PathStats::default();
+    seen.iter().for_each(|s| stats.add(s));
+    (records, stats)
+}
