@@ -56,10 +56,11 @@ def test_usdrecord_flags_are_accepted():
 @pytest.mark.parametrize(
     ("flags", "said"),
     [
-        (["--walk", "poe"], "walk 'poe' is not available in this version"),
+        (["--walk", "vpg"], "walk 'vpg' is not available in this version"),
         (["--walk", "zigzag"], "invalid choice: 'zigzag'"),
-        (["--walkPdf", "exact"], "--walkPdf: not available in this version"),
-        (["--classicalFraction", "0.5"], "--classicalFraction: not available in this version"),
+        (["--walkPdf", "marginal"], "invalid choice: 'marginal'"),
+        (["--classicalFraction", "1.5"], "1.5 is not between 0 and 1"),
+        (["--classicalFraction", "nan"], "nan is not between 0 and 1"),
         (["--purposes", "rendr"], "Unrecognized purpose value 'rendr'."),
         (["--samples", "0"], "0 is below 1"),
         (["--samples", "99999999999"], "too large"),
@@ -82,6 +83,22 @@ def test_usage_errors(flags, said, capsys):
         record(*flags)
     assert error.value.code == 2
     assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("walk", ["auto", "classical", "poe", "cp", "ii", "bono", "bill", "mixture"])
+def test_walks_are_settings(walk):
+    defaults = {"walkPdf": "auto", "classicalFraction": 0.0, "normals": 7, "learnShares": True}
+    flags = ("--walk", walk, "--walkPdf", "exact", "--classicalFraction", "0.25")
+    typed = settings.typed_settings(
+        record(*flags, "--set", "normals=3", "--set", "learnShares=off"), DEFAULTS | defaults
+    )
+    assert typed == {
+        "walk": walk,
+        "walkPdf": "exact",
+        "classicalFraction": 0.25,
+        "normals": 3,
+        "learnShares": False,
+    }
 
 
 @pytest.mark.parametrize(
@@ -183,7 +200,7 @@ def test_find_named_camera():
     assert view.find_named(["/A/cam"], "am") is None
 
 
-@pytest.mark.parametrize("command", ["record", "explain", "flatten"])
+@pytest.mark.parametrize("command", ["record", "explain", "flatten", "bench"])
 def test_help(command, capsys):
     with pytest.raises(SystemExit) as error:
         build_parser()[0].parse_args([command, "--help"])

@@ -253,7 +253,7 @@ def test_one_failed_frame_does_not_stop_the_others(stage, tmp_path, capsys):
         ("a.exr", ["-w", "1000000"], "too large"),
         ("a.png", ["--ocioView", "Pretty"], "Unknown OpenColorIO view 'Pretty'"),
         ("a.png", ["-color", "sRGB", "--ocioView", "Raw"], "does not go with"),
-        ("a.exr", ["--walk", "mixture"], "not available in this version"),
+        ("a.exr", ["--walk", "vpg"], "walk 'vpg' is not available in this version"),
     ],
 )
 def test_usage_errors(stage, tmp_path, capsys, output, flags, said):

@@ -5,10 +5,10 @@ import os
 import sys
 from collections.abc import Sequence
 
-from . import explain, flatten, record
+from . import bench, explain, flatten, record
 from .output import OutputError
 
-COMMANDS = (record, explain, flatten)
+COMMANDS = (record, explain, flatten, bench)
 
 INTERRUPTED = 130
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from .. import color
-from ..aovs import AOVS
+from ..aovs import AOVS, GUIDE_AOVS
 from . import progress
 
 WALKS = ("auto", "classical", "poe", "cp", "ii", "bono", "bill", "mixture")
@@ -25,6 +25,11 @@ def add_stage_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "usdFilePath", metavar="STAGE", help="USD file, or a .dermis file made by `dermis flatten`"
     )
+    add_composition_arguments(parser)
+
+
+def add_composition_arguments(parser: argparse.ArgumentParser) -> None:
+    """How a stage is composed."""
     parser.add_argument(
         "--mask",
         dest="populationMask",
@@ -91,7 +96,7 @@ def add_view_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         help="width of the output image; the height follows from the camera's aspect ratio (default=960)",
     )
-    parser.add_argument("--imageHeight", type=_positive, help="height of the output image")
+    parser.add_argument("--imageHeight", type=positive, help="height of the output image")
     parser.add_argument(
         "--enableDomeLightVisibility",
         action="store_true",
@@ -114,21 +119,21 @@ def add_view_arguments(parser: argparse.ArgumentParser) -> None:
 def add_sampling_arguments(parser: argparse.ArgumentParser) -> None:
     """How the image is computed; each is a render setting as well."""
     group = parser.add_argument_group("rendering")
-    group.add_argument("--samples", type=_positive, metavar="N", help="samples per pixel")
+    group.add_argument("--samples", type=positive, metavar="N", help="samples per pixel")
     group.add_argument(
-        "--timeLimit", type=_not_negative, metavar="S", help="stop after S seconds of rendering"
+        "--timeLimit", type=not_negative, metavar="S", help="stop after S seconds of rendering"
     )
     group.add_argument(
         "--noiseThreshold",
-        type=_not_negative,
+        type=not_negative,
         metavar="E",
         help="stop when the estimated relative error is below E",
     )
-    group.add_argument("--seed", type=_count, metavar="N", help="image = f(seed, sample range)")
+    group.add_argument("--seed", type=count, metavar="N", help="image = f(seed, sample range)")
     group.add_argument(
-        "--sampleOffset", type=_count, metavar="N", help="index of the first sample of each pixel"
+        "--sampleOffset", type=count, metavar="N", help="index of the first sample of each pixel"
     )
-    group.add_argument("--threads", type=_count, metavar="N", help="threads; 0: all (default)")
+    group.add_argument("--threads", type=count, metavar="N", help="threads; 0: all (default)")
     group.add_argument(
         "--crop",
         type=float,
@@ -137,9 +142,9 @@ def add_sampling_arguments(parser: argparse.ArgumentParser) -> None:
         action=_Crop,
         help="region to render, in [0, 1] with (0, 0) at the lower left as USD's dataWindowNDC",
     )
-    group.add_argument("--maxDepth", type=_count, metavar="N", help="surface bounces")
+    group.add_argument("--maxDepth", type=count, metavar="N", help="surface bounces")
     group.add_argument(
-        "--walk", type=_walk, metavar="NAME", help=f"subsurface walk: {', '.join(WALKS)} (default=auto)"
+        "--walk", type=walk_name, metavar="NAME", help=f"subsurface walk: {', '.join(WALKS)} (default=auto)"
     )
     group.add_argument(
         "--walkPdf",
@@ -148,15 +153,26 @@ def add_sampling_arguments(parser: argparse.ArgumentParser) -> None:
         "(default=auto: exact where it exists)",
     )
     group.add_argument(
-        "--classicalFraction", type=_share, metavar="P", help="share of classical walks mixed into guided ones"
+        "--classicalFraction",
+        type=_share,
+        metavar="P",
+        help="share of classical walks mixed into guided ones",
     )
-    group.add_argument("--aov", dest="aovs", action="append", choices=AOVS, help="AOV to write (repeatable)")
+    group.add_argument(
+        "--aov",
+        dest="aovs",
+        action="append",
+        choices=(*AOVS, *GUIDE_AOVS),
+        metavar="NAME",
+        help=f"AOV to write (repeatable): {', '.join(AOVS)} (default: the stage's RenderVars, else all of these); for "
+        f"looking at guided walks: {', '.join(GUIDE_AOVS)}",
+    )
     group.add_argument(
         "--set",
         dest="assignments",
         nargs="?",
         metavar="NAME=VALUE",
-        action=_Set,
+        action=SetAction,
         help="any render setting (repeatable); alone, lists them with their defaults",
     )
 
@@ -165,7 +181,7 @@ def add_output_arguments(parser: argparse.ArgumentParser) -> None:
     """What is written, and what is said meanwhile."""
     group = parser.add_argument_group("output")
     group.add_argument(
-        "--displayImage", type=_display_path, metavar="FILE", help="also write a PNG or JPEG for eyes"
+        "--displayImage", type=display_path, metavar="FILE", help="also write a PNG or JPEG for eyes"
     )
     group.add_argument(
         "--colorCorrectionMode",
@@ -199,7 +215,7 @@ def image_path(text: str) -> str:
     return _with_extension(text, IMAGE_EXTENSIONS)
 
 
-def _display_path(text: str) -> str:
+def display_path(text: str) -> str:
     return _with_extension(text, color.EXTENSIONS)
 
 
@@ -217,15 +233,15 @@ def _purposes(text: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(["default", *purposes]))
 
 
-def _positive(text: str) -> int:
+def positive(text: str) -> int:
     return _bounded(int(text), text, 1)
 
 
-def _count(text: str) -> int:
+def count(text: str) -> int:
     return _bounded(int(text), text, 0)
 
 
-def _not_negative(text: str) -> float:
+def not_negative(text: str) -> float:
     value = float(text)
     if value == float("inf"):
         raise argparse.ArgumentTypeError(f"{text} is not finite")
@@ -247,7 +263,7 @@ def _bounded(value: Number, text: str, least: int) -> Number:
     return value
 
 
-def _walk(name: str) -> str:
+def walk_name(name: str) -> str:
     if name in LATER_WALKS:
         raise argparse.ArgumentTypeError(f"walk {name!r} is not available in this version")
     if name not in WALKS:
@@ -267,7 +283,7 @@ class _Crop(argparse.Action):
         setattr(namespace, self.dest, values)
 
 
-class _Set(argparse.Action):
+class SetAction(argparse.Action):
     """Collects NAME=VALUE; without a value, lists the settings and leaves, as `--help` does."""
 
     def __call__(self, parser, namespace, values, option_string=None):

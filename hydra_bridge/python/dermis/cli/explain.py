@@ -43,15 +43,24 @@ def run(parser: argparse.ArgumentParser, args: argparse.Namespace) -> int:
 
 
 def explanation(loaded: Any) -> str:
-    """The core's own account: what is on and why, what is off, the counts, the warnings of both sides."""
+    """The core's own account: what is on and why, the walks, what is off, counts, warnings of both sides."""
     report = json.loads(loaded.delegate.explain())
     dropped = [(entry["prim"], entry["message"]) for entry in report.get("warnings", [])]
     capabilities = report["capabilities"]
     lines = [f"camera: {loaded.camera or 'framed automatically'}", "on:"]
     lines += [f"  {entry['capability']}: {entry['why']}" for entry in capabilities if entry["on"]]
+    if report["media"]:
+        lines += ["walks:", *(f"  {medium_line(medium)}" for medium in report["media"])]
     lines += ["off: " + ", ".join(entry["capability"] for entry in capabilities if not entry["on"]), "needs:"]
     lines += [f"  {name}: {format_value(value)}" for name, value in report["needs"].items()]
     warnings = [f"  {prim}: {message}" for prim, message in merge(loaded.warnings, dropped)]
     return "\n".join(
         [*lines, *(["dropped or replaced:", *warnings] if warnings else ["dropped or replaced: nothing"])]
     )
+
+
+def medium_line(medium: dict[str, Any]) -> str:
+    """Which walk a medium takes, and why."""
+    guided = medium["walk"] != "classical"
+    weight = {True: " (exact weights)", False: " (conditional weights)"}[medium["exact"]] if guided else ""
+    return f"{medium['prim']}: {medium['walk']}{weight}: {medium['why']}"
