@@ -12,7 +12,7 @@ from PIL import Image
 pytest.importorskip("dermis._core", reason="the Rust core is not built")
 
 from dermis._core import CoreError
-from dermis.bench import measures, methods, reference, regions, render, runner, spec, suite
+from dermis.bench import crops, measures, methods, reference, render, runner, spec, suite
 from dermis.cli import build_parser, main
 from dermis.cli.settings import default_settings
 
@@ -89,7 +89,7 @@ def Xform "World" (
 SCALE = "/World/Wax/Surface.inputs:subsurfaceScale"
 
 #: Flags of a run of a second.
-SMALL = ("-w", "16", "--samples", "2", "--repeats", "2", "--referenceSamples", "16", "--quiet")
+SMALL = ("-w", "16", "--samples", "2", "--seeds", "2", "--referenceSamples", "16", "--quiet")
 
 
 @pytest.fixture
@@ -115,7 +115,7 @@ def write_spec(folder: Path, **changes: object) -> Path:
     content = {
         "methods": ["classical"],
         "samples": 2,
-        "repeats": 1,
+        "seeds": 1,
         "settings": {"resolution": [16, 16]},
         "reference": {"samples": 16},
         "scenes": [{"stage": "block.usda"}],
@@ -208,7 +208,7 @@ def test_ratio_by_hand():
     # Means 4 x 2 over 1 x 4.
     ratio = measures.efficiency_ratio([0.5, 1.5], [4.0, 4.0], [4.0, 4.0], [2.0, 2.0])
     assert ratio.mean == pytest.approx(2.0)
-    # Shares -0.5 and -1.5: standard deviation sqrt(1/2), over sqrt(2) repeats.
+    # Shares -0.5 and -1.5: standard deviation sqrt(1/2), over sqrt(2) seeds.
     assert ratio.error == pytest.approx(2.0 * 0.5)
     # What goes up and down with the baseline is no uncertainty of the ratio.
     paired = measures.efficiency_ratio([1.0, 3.0], [1.0, 1.0], [2.0, 6.0], [1.0, 1.0])
@@ -223,7 +223,7 @@ def test_geometric_mean_by_hand():
     assert measures.geometric_mean([]) is None
 
 
-# Methods, regions, suites
+# Methods, crops, suites
 
 
 def test_methods_are_parsed():
@@ -269,10 +269,10 @@ def test_regions_are_the_pixels_of_crops(stage, tmp_path):
         assert main(["record", str(stage), str(file), *flags]) == 0
         s = oiio.ImageBuf(str(file)).spec()
         expected = (s.x, s.y, s.x + s.width, s.y + s.height)
-        found = regions.window(ndc, (21, 21))
+        found = crops.window(ndc, (21, 21))
         assert found == expected
         # Fed back as edges of pixels, a window is itself.
-        assert regions.window(tuple(found.ndc((21, 21))), (21, 21)) == found
+        assert crops.window(tuple(found.ndc((21, 21))), (21, 21)) == found
 
 
 @pytest.mark.parametrize(
@@ -287,10 +287,10 @@ def test_regions_are_the_pixels_of_crops(stage, tmp_path):
         (["a.usda", "--methods", "classical", "--samples", "4,x"], "no list of numbers"),
         (["a.usda", "--methods", "classical", "--samples", "4"], "a has no reference"),
         (["a.usda", "--methods", "classical", "--samples", "4", "--referenceSamples", "1"], "2 or more"),
-        (["a.usda", "--region", "ear"], "expected [SCENE/]NAME=X0,Y0,X1,Y1"),
-        (["a.usda", "--region", "ear=0,0,1"], "expected four numbers"),
-        (["a.usda", "--region", "ear=0.5,0,0.5,1"], "X0 < X1"),
-        (["a.usda", "--region", "b/ear=0,0,1,1"], "there is no stage 'b'; there are a"),
+        (["a.usda", "--crops", "ear"], "expected [SCENE/]NAME=X0,Y0,X1,Y1"),
+        (["a.usda", "--crops", "ear=0,0,1"], "expected four numbers"),
+        (["a.usda", "--crops", "ear=0.5,0,0.5,1"], "X0 < X1"),
+        (["a.usda", "--crops", "b/ear=0,0,1,1"], "there is no stage 'b'; there are a"),
         (["a.usda", "--set", "samples=4"], "samples is for the comparison itself to decide"),
         (["a.usda", "--set", "sampels=4"], "did you mean samples?"),
         (["a.usda", "b.usda", "--reference", "r.exr"], "--reference is for one stage"),
@@ -308,9 +308,9 @@ def test_more_usage_errors(stage, tmp_path, capsys):
     named = (stage, "--methods", "classical", "--out", tmp_path / "out", *SMALL)
     for flags, said in [
         (["--baseline", "mixture"], "the methods are classical"),
-        (["--region", "a=0,0,1,1", "--region", "a=0,0,.5,1"], "region 'a' is there twice"),
-        (["--figure", "f.png", "--figureRows", "block/ear"], "the regions are block/frame"),
-        (["--figure", "f.png", "--noPlots"], "--figure does not go with --noPlots"),
+        (["--crops", "a=0,0,1,1", "--crops", "a=0,0,.5,1"], "crop 'a' is there twice"),
+        (["--figure", "f.png", "--figureRows", "block/ear"], "the crops are block/frame"),
+        (["--figure", "f.png", "--numbersOnly"], "--figure does not go with --numbersOnly"),
         (["--figure", "f.gif"], "must end in one of .png"),
     ]:
         assert run(*named, *flags) == 2
@@ -323,14 +323,14 @@ def test_more_usage_errors(stage, tmp_path, capsys):
     [
         ({"method": ["classical"]}, "there is no 'method'"),
         ({"scenes": []}, "expected a list of at least one"),
-        ({"scenes": [{"stage": "block.usda", "regoins": {}}]}, "scenes[0]: there is no 'regoins'"),
+        ({"scenes": [{"stage": "block.usda", "corps": {}}]}, "scenes[0]: there is no 'corps'"),
         ({"scenes": [{"name": "block"}]}, "scenes[0]: stage: expected a file name"),
-        ({"scenes": [{"stage": "block.usda", "regions": {"ear": [0, 0, 1]}}]}, "expected four numbers"),
+        ({"scenes": [{"stage": "block.usda", "crops": {"ear": [0, 0, 1]}}]}, "expected four numbers"),
         ({"scenes": [{"stage": "block.usda"}] * 2}, "scene 'block' is there twice"),
         ({"settings": {"walk": "mixture"}}, "walk is for the comparison itself to decide"),
         ({"settings": {"resolution": [16]}}, "2 values were expected"),
         ({"samples": [0]}, "samples: expected a whole number of at least 1"),
-        ({"repeats": "3"}, "repeats: expected a whole number"),
+        ({"seeds": "3"}, "seeds: expected a whole number"),
         ({"reference": {"sample": 3}}, "reference: there is no 'sample'"),
         ({"methods": "classical", "reference": {}}, "block has no reference"),
     ],
@@ -354,7 +354,7 @@ def test_wrong_descriptions_are_usage_errors(stage, tmp_path, capsys, changes, s
 )
 def test_wrong_changes_of_a_stage_are_errors(stage, tmp_path, capsys, scene, said):
     file = write_spec(tmp_path, scenes=[{"stage": "block.usda", **scene}])
-    assert run("--spec", file, "--out", tmp_path / "out", "--noPlots", "--quiet") == 1
+    assert run("--spec", file, "--out", tmp_path / "out", "--numbersOnly", "--quiet") == 1
     assert said in capsys.readouterr().err
 
 
@@ -364,13 +364,13 @@ def test_flags_win_over_the_description(tmp_path):
     )
     read = suite_of(
         *("--spec", file, "--only", "a", "--methods", "mixture,classical", "--baseline", "classical"),
-        *("--budget", "2", "--repeats", "5", "--set", "maxDepth=1", "--no-crops", "--referenceSamples", "8"),
+        *("--budget", "2", "--seeds", "5", "--set", "maxDepth=1", "--wholeFrames", "--referenceSamples", "8"),
     )
     assert [scene.name for scene in read.scenes] == ["a"]
     assert read.scenes[0].stage == tmp_path / "a.usda"
     assert read.scenes[0].settings == {"resolution": [16, 16], "maxDepth": 1}
     assert [method.label for method in read.methods] == ["mixture", "classical"]
-    assert (read.baseline, read.works, read.repeats) == ("classical", (suite.Work("budget", 2.0),), 5)
+    assert (read.baseline, read.works, read.seeds) == ("classical", (suite.Work("budget", 2.0),), 5)
     assert (read.crops, read.reference_samples) == (False, 8)
 
 
@@ -382,7 +382,7 @@ def test_methods_are_interleaved_in_seeded_order(tmp_path):
         class Scene:
             spec = read.scenes[0]
 
-        targets = [runner.Target("frame", regions.Window(0, 0, 1, 1), ())]
+        targets = [runner.Target("frame", crops.Window(0, 0, 1, 1), ())]
         return [(j.repeat, j.method.label, j.work.amount) for j in runner.jobs_of(Scene, targets, read)]
 
     first = order(1)
@@ -397,10 +397,10 @@ def test_methods_are_interleaved_in_seeded_order(tmp_path):
 
 def test_end_to_end(stage, tmp_path, capsys):
     out = tmp_path / "out"
-    flags = ("--region", "left=0.2,0.2,0.5,0.8", "--region", "block/right=0.5,0.2,0.8,0.8")
+    flags = ("--crops", "left=0.2,0.2,0.5,0.8", "--crops", "block/right=0.5,0.2,0.8,0.8")
     named = "classical,again=classical:seed=90,wrong=classical:subsurfaceBoundary=indexMatched"
     figure = tmp_path / "deep" / "figure.png"
-    amounts = ("-w", "24", "--samples", "4,16", "--repeats", "3", "--referenceSamples", "128", "--quiet")
+    amounts = ("-w", "24", "--samples", "4,16", "--seeds", "3", "--referenceSamples", "128", "--quiet")
     assert run(stage, "--methods", named, "--out", out, "--figure", figure, *flags, *amounts) == 0
     said = capsys.readouterr()
     assert said.err == ""
@@ -408,12 +408,12 @@ def test_end_to_end(stage, tmp_path, capsys):
 
     found = results(out)
     assert len(found["renders"]) == 3 * 2 * 2 * 3 and len(found["rows"]) == 3 * 2 * 2
-    by_key = {(r["region"], r["method"], r["work"]["amount"]): r for r in found["rows"]}
+    by_key = {(r["crop"], r["method"], r["work"]["amount"]): r for r in found["rows"]}
     row = by_key["left", "classical", 16]
     mine = [
         r
         for r in found["renders"]
-        if (r["region"], r["method"], r["work"]["amount"]) == ("left", "classical", 16)
+        if (r["crop"], r["method"], r["work"]["amount"]) == ("left", "classical", 16)
     ]
     assert {r["seed"] for r in mine} == {1, 2, 3}
     assert row["relmse"]["mean"] == pytest.approx(np.mean([r["plain"] - r["noise"] for r in mine]))
@@ -442,10 +442,10 @@ def test_end_to_end(stage, tmp_path, capsys):
 
 
 def test_crops_and_cuts_of_the_frame_are_the_same_pixels(stage, tmp_path):
-    region = ("--region", "part=0.25,0.25,0.75,0.6", "--noPlots", *SMALL)
+    crop = ("--crops", "part=0.25,0.25,0.75,0.6", "--numbersOnly", *SMALL)
     rows = []
-    for kind in ("--crops", "--no-crops"):
-        assert run(stage, "--methods", "classical", "--out", tmp_path / kind, kind, *region) == 0
+    for kind in ("--crops", "--wholeFrames"):
+        assert run(stage, "--methods", "classical", "--out", tmp_path / kind, kind, *crop) == 0
         rows.append(results(tmp_path / kind)["rows"][0])
     assert rows[0]["relmse"] == rows[1]["relmse"] and rows[0]["bias"] == rows[1]["bias"]
 
@@ -453,7 +453,7 @@ def test_crops_and_cuts_of_the_frame_are_the_same_pixels(stage, tmp_path):
 def test_reference_is_reused_until_the_scene_changes(stage, tmp_path, capsys):
     out = tmp_path / "out"
     kept = out / "reference"
-    flags = ("--out", out, "--noPlots", *SMALL)
+    flags = ("--out", out, "--numbersOnly", *SMALL)
 
     def halves() -> dict[str, int]:
         return {file.name: file.stat().st_mtime_ns for file in kept.iterdir()}
@@ -493,7 +493,7 @@ def test_overrides_and_variants_change_the_picture_alone(stage, tmp_path):
     session = tmp_path / "session.usda"
     session.write_text('#usda 1.0\nover "World"\n{\nover "Key"\n{\nfloat inputs:intensity = 20\n}\n}\n')
     file = write_spec(tmp_path, scenes=scenes, samples=16)
-    flags = ("--spec", file, "--noPlots", "--quiet", "--sessionLayer", session)
+    flags = ("--spec", file, "--numbersOnly", "--quiet", "--sessionLayer", session)
     assert run(*flags, "--out", tmp_path / "out") == 0
     assert stage.read_text() == before and "subsurfaceScale" not in session.read_text()
     found = results(tmp_path / "out")
@@ -501,7 +501,7 @@ def test_overrides_and_variants_change_the_picture_alone(stage, tmp_path):
     oiio = pytest.importorskip("OpenImageIO")
     means = {}
     for scene in found["scenes"]:
-        image = oiio.ImageBuf(scene["regions"][0]["reference"][0])
+        image = oiio.ImageBuf(scene["crops"][0]["reference"][0])
         means[scene["name"]] = image.get_pixels(oiio.FLOAT)[4:12, 4:12, :3].mean(axis=(0, 1))
     assert (means["dark"] < 0.5 * means["plain"]).all()
     np.testing.assert_allclose(means["thin"][2] / means["plain"][2], 0.5, rtol=0.2)
@@ -523,14 +523,14 @@ def test_given_references(stage, tmp_path, capsys):
         base = ["-w", "16", "--samples", "32", "--progress", "none"]
         assert main(["record", str(stage), str(files[name]), *base, *flags]) == 0
     capsys.readouterr()
-    base = (stage, "--methods", "classical", "--samples", "2", "-w", "16", "--noPlots", "--quiet")
+    base = (stage, "--methods", "classical", "--samples", "2", "-w", "16", "--numbersOnly", "--quiet")
 
-    def bench(*names: str, region: str = "r=0.25,0.25,0.75,0.75") -> int:
+    def bench(*names: str, crop: str = "r=0.25,0.25,0.75,0.75") -> int:
         given = [flag for name in names for flag in ("--reference", files[name])]
-        return run(*base, "--region", region, *given, "--out", tmp_path / "out")
+        return run(*base, "--crops", crop, *given, "--out", tmp_path / "out")
 
     assert bench("a", "b") == 0
-    assert results(tmp_path / "out")["scenes"][0]["regions"][0]["noise_from"] == "difference of two halves"
+    assert results(tmp_path / "out")["scenes"][0]["crops"][0]["noise_from"] == "difference of two halves"
     halves = results(tmp_path / "out")["reference_noise"][0]["noise"]
     assert "is not known" not in capsys.readouterr().out
     assert bench("a") == 0
@@ -539,7 +539,7 @@ def test_given_references(stage, tmp_path, capsys):
     assert results(tmp_path / "out")["reference_noise"][0]["noise"] == pytest.approx(2.0 * halves, rel=0.5)
     assert bench("bare") == 0
     assert "noise is not known" in capsys.readouterr().out
-    assert bench("corner", region="r=0.1,0.1,0.4,0.4") == 0
+    assert bench("corner", crop="r=0.1,0.1,0.4,0.4") == 0
     for names, said in [
         (["other"], "it is of 8 x 8 pixels, block of 16 x 16"),
         (["corner"], "does not cover"),
@@ -555,7 +555,7 @@ def test_given_references(stage, tmp_path, capsys):
 
 
 def test_noisy_reference_is_warned_about(stage, tmp_path, capsys):
-    flags = ("-w", "16", "--samples", "16", "--referenceSamples", "16", "--noPlots", "--quiet")
+    flags = ("-w", "16", "--samples", "16", "--referenceSamples", "16", "--numbersOnly", "--quiet")
     assert run(stage, "--methods", "classical", "--out", tmp_path / "out", *flags) == 0
     said = capsys.readouterr().out
     assert "more than 10% of the smallest error measured; give it more samples: block/frame" in said
@@ -567,11 +567,11 @@ def test_budget_is_a_time_limit(stage, tmp_path):
         "16",
         "--budget",
         "0.05,0.2",
-        "--repeats",
+        "--seeds",
         "1",
         "--referenceSamples",
         "16",
-        "--noPlots",
+        "--numbersOnly",
         "--quiet",
     )
     assert run(stage, "--methods", "classical", "--out", tmp_path / "out", *flags) == 0
@@ -587,7 +587,7 @@ def test_missing_matplotlib_is_said_before_anything_renders(stage, tmp_path, mon
     assert run(*flags) == 2
     assert "pip install matplotlib" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
-    assert run(*flags, "--noPlots") == 0
+    assert run(*flags, "--numbersOnly") == 0
 
 
 def test_a_method_that_fails_does_not_stop_the_others(stage, tmp_path, monkeypatch, capsys):
@@ -598,7 +598,7 @@ def test_a_method_that_fails_does_not_stop_the_others(stage, tmp_path, monkeypat
 
     monkeypatch.setattr(runner, "render", failing)
     out = tmp_path / "out"
-    assert run(stage, "--methods", "poe,classical", "--out", out, "--noPlots", *SMALL) == 1
+    assert run(stage, "--methods", "poe,classical", "--out", out, "--numbersOnly", *SMALL) == 1
     said = capsys.readouterr()
     assert "failed: block frame: poe, 2 spp: the render failed: no such luck" in said.err
     rows = results(out)["rows"]
@@ -627,7 +627,7 @@ def test_interrupted_runs_report_what_is_there(stage, tmp_path, monkeypatch, cap
 
 def test_renders_start_from_nothing_and_are_told_apart_by_seed(stage, tmp_path, capsys):
     named = "classical,same=classical,other=classical:seed=5"
-    assert run(stage, "--methods", named, "--out", tmp_path / "out", "--noPlots", *SMALL) == 0
+    assert run(stage, "--methods", named, "--out", tmp_path / "out", "--numbersOnly", *SMALL) == 0
     said = capsys.readouterr().out
     assert "same renders the images of classical, bit for bit" in said and "other renders" not in said
     found = results(tmp_path / "out")["renders"]
@@ -645,6 +645,6 @@ def test_rigs_are_described_for_the_stages_that_exist(shared_scenes):
         opened = Usd.Stage.Open(str(scene.stage))
         for path, value in scene.overrides.items():
             assert opened.GetAttributeAtPath(path).Get() != value
-        for region in scene.regions:
+        for crop in scene.crops:
             resolution = tuple(scene.settings["resolution"])
-            assert regions.window(region.ndc, resolution).size == (40, 40), (scene.name, region.name)
+            assert crops.window(crop.ndc, resolution).size == (40, 40), (scene.name, crop.name)
