@@ -110,7 +110,8 @@ def curves(rows: Sequence[Row], suite: Suite) -> Any:
             draw_panel(panel, here, suite, quantity)
             panel.set_xlabel(name, fontsize=8)
         line[0].set_ylabel("relMSE", fontsize=8)
-        line[0].set_title(f"{scene}/{crop}", fontsize=9, loc="left")
+        if len(places) > 1:
+            line[0].set_title(f"{scene}/{crop}", fontsize=9, loc="left")
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(
         handles, labels, loc="outside upper center", ncols=min(len(labels), 4), fontsize=8, frameon=False
@@ -121,8 +122,8 @@ def curves(rows: Sequence[Row], suite: Suite) -> Any:
 def draw_panel(axes: Any, rows: Sequence[Row], suite: Suite, quantity: str) -> None:
     axes.set_xscale("log")
     axes.set_yscale("log")
-    for axis in (axes.xaxis, axes.yaxis):
-        label_ticks(axis)
+    label_ticks(axes.xaxis, 2.0 if quantity == "samples" else 10.0)
+    label_ticks(axes.yaxis, 10.0)
     axes.grid(True, which="major", linewidth=0.3)
     for method in suite.methods:
         points = [row for row in rows if row.method == method.label and row.relmse.mean > 0.0]
@@ -147,11 +148,11 @@ def draw_method(axes: Any, points: Sequence[Row], quantity: str, color: str) -> 
     axes.plot(span, y[-1] * x[-1] / span, linestyle=":", color=color, linewidth=0.8)
 
 
-def label_ticks(axis: Any) -> None:
-    """1, 2, 5: readable over half a decade and over four."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+def label_ticks(axis: Any, base: float) -> None:
+    """1, 2, 5, readable over half a decade and over four; or powers of two."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_locator(LogLocator(base=base, subs=(1.0, 2.0, 5.0) if base == 10.0 else (1.0,)))
+    axis.set_minor_locator(NullLocator())
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())
     axis.set_tick_params(labelsize=7)

@@ -44,8 +44,9 @@ class Store:
         if not file.exists():
             return None
         image = oiio.ImageBuf(str(file))
+        whole = image.read(0, 0, True, oiio.FLOAT)  # now, for what is cut off within its pixels
         text = image.spec().get_string_attribute(ATTRIBUTE)
-        if image.geterror() or not text:
+        if image.geterror() or not (whole and text):
             return None
         return Render(image.get_pixels(oiio.FLOAT).astype(np.float64), **json.loads(text))
 
