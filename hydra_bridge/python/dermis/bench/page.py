@@ -16,7 +16,7 @@ from ..color import DisplayTransform, quantize
 from . import plots, table
 from .measures import bias_threshold
 from .results import Cell, CellKey, CropSlopes, Row
-from .suite import Suite
+from .suite import Suite, Work
 from .table import Table
 
 TEMPLATE = Path(__file__).with_name("page.html")
@@ -48,7 +48,8 @@ def page(
         "WARNINGS": items(facts.warnings),
         "NOTES": items(facts.notes),
         "METHODS": html_table(methods_table(suite), suite),
-        "EFFICIENCY": "".join(html_table(found, suite) for found in table.efficiency_tables(rows, suite)),
+        "EFFICIENCY": efficiency(rows, suite, suite.works[-1:]),
+        "LESS": less_work(rows, suite),
         "SHEET": sheet.html(),
         "CROPS": crop_sections(rows, slopes, suite),
         "REFERENCES": html_table(table.references(rows), suite),
@@ -64,6 +65,17 @@ def page(
 
 def items(lines: Iterable[str]) -> str:
     return "".join(f"<li>{escape(line)}</li>" for line in lines)
+
+
+def efficiency(rows: Sequence[Row], suite: Suite, works: Sequence[Work]) -> str:
+    tables = (found for work in works for found in table.efficiency_tables(rows, suite, work))
+    return "".join(html_table(found, suite) for found in tables)
+
+
+def less_work(rows: Sequence[Row], suite: Suite) -> str:
+    """What is no headline."""
+    tables = efficiency(rows, suite, suite.works[-2::-1])
+    return f'<h2>Efficiency at less work</h2><div class="scroll tables">{tables}</div>' if tables else ""
 
 
 def breakable(text: str) -> str:

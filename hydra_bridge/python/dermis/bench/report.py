@@ -130,6 +130,11 @@ def warnings_in(run: Run, rows: Sequence[Row], suite: Suite) -> list[str]:
             "the reference's noise is that of its variance AOV, an upper bound: errors not far above it come out too "
             f"small: {', '.join(bound)}"
         )
+    short = [f"{row.scene}/{row.crop} {row.method}" for row in rows if row.samples.mean < 1.0]
+    if short:
+        messages.append(
+            f"the budget ended before every pixel had a sample, the others are black: {', '.join(short)}"
+        )
     found = [f"Warning: {message}" for message in messages]
     found += [f"failed: {failure}" for failure in run.failures]
     return [*found, *(["interrupted: not all that was asked for is here"] if run.interrupted else [])]

@@ -18,14 +18,13 @@ class Table:
     lines: list[list[str]]
 
 
-def efficiency_tables(rows: Sequence[Row], suite: Suite) -> list[Table]:
-    """Ratios by crop and method for each amount of work, geometric means below; then those of trimmed errors."""
+def efficiency_tables(rows: Sequence[Row], suite: Suite, work: Work) -> list[Table]:
+    """Ratios by crop and method, geometric means below; then those of trimmed errors."""
     means = means_of(list(rows), suite)
     return [
         ratio_table(
             f"Efficiency over that of {suite.baseline}{what}, {work.label}", part, rows, means, work, suite
         )
-        for work in suite.works
         for what, part in (("", ratio), (", trimmed errors", ratio_trimmed))
         if any(row.work == work for row in rows)
     ]
@@ -115,8 +114,9 @@ def summary(rows: Sequence[Row], slopes: CropSlopes, suite: Suite, notes: Sequen
     """All tables as Markdown."""
     parts = [f"# Speed against error\n\n{heading(suite)}"]
     threshold = bias_threshold(3 * len(rows))
-    for table in efficiency_tables(rows, suite):
-        parts += [f"## {table.title}", markdown(table)]
+    for work in suite.works:
+        for table in efficiency_tables(rows, suite, work):
+            parts += [f"## {table.title}", markdown(table)]
     for scene, crop in dict.fromkeys((row.scene, row.crop) for row in rows):
         here = [row for row in rows if (row.scene, row.crop) == (scene, crop)]
         parts += [f"## {scene}/{crop}", *(markdown(table) for table in crop_tables(here, slopes, threshold))]
