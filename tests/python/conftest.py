@@ -4,6 +4,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from bench_runs import stage  # noqa: F401  (a fixture, as the next)
+from browser import browser  # noqa: F401
 from pxr import Sdf, Usd
 
 from dermis.stage import FlatStage, Options, flatten

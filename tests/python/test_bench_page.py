@@ -10,8 +10,7 @@ pytest.importorskip("dermis._core", reason="the Rust core is not built")
 pytest.importorskip("matplotlib", reason="the report needs the extra `bench`")
 pytest.importorskip("flip_evaluator", reason="the report needs the extra `bench`")
 
-from browser import browser  # noqa: F401  (a fixture)
-from test_bench import STAGE, run
+from bench_runs import STAGE, run
 
 PANE = "[data-kind=picture] .pane"
 MAPS = "[data-kind=map]"
@@ -38,7 +37,7 @@ def report(tmp_path_factory):
 
 
 @pytest.fixture
-def page(browser, report):  # noqa: F811
+def page(browser, report):
     browser.errors.clear()
     browser.requests.clear()
     browser.open(report)
@@ -76,7 +75,7 @@ def test_nothing_is_asked_for_and_nothing_goes_wrong(page, report):
     assert "url(" not in re.sub(r"url\(#[\w-]+\)", "", text)
 
 
-def test_the_watch_sees_errors_and_requests(browser, tmp_path):  # noqa: F811
+def test_the_watch_sees_errors_and_requests(browser, tmp_path):
     bad = tmp_path / "bad.html"
     bad.write_text("<img src='http://127.0.0.1:9/x.png'><script>console.error('so'); null.x;</script>")
     browser.open(bad)

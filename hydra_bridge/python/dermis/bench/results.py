@@ -77,9 +77,13 @@ class Cell:
             "repeat": repeat,
             "seed": seed,
             "relmse": errors.relmse,
-            "trimmed_relmse": errors.relmse_trimmed,
+            "relmse_trimmed": errors.relmse_trimmed,
+            "mse": errors.mse,
+            "flip": self.flip_of(image),
+            "bias_z": bias_z,
         }
-        measured |= {"mse": errors.mse, "flip": self.flip_of(image), "bias_z": bias_z, **asdict(errors)}
+        # Before the reference's noise is taken off, and that noise.
+        measured |= {f"raw_{name}": value for name, value in asdict(errors).items()}
         self.renders.append({**measured, **cost_of(rendered)})
 
     def bias_of(self, image: Array) -> list[float]:
