@@ -14,10 +14,13 @@ from PIL import Image
 
 from ..color import DisplayTransform, quantize
 from . import plots, table
-from .measures import bias_threshold
+from .measures import Array, Mask, bias_threshold, picked
 from .results import Cell, CellKey, CropSlopes, Row
 from .suite import Suite, Work
 from .table import Table
+
+#: Grey of pixels that are not measured, a colour that no error has.
+UNMEASURED = np.uint8(90)
 
 TEMPLATE = Path(__file__).with_name("page.html")
 
@@ -143,15 +146,17 @@ class Sheet:
         shown = [
             (row, self.cells[CellKey(scene, crop, row.method, work)]) for row in here if row.work == work
         ]
-        scale = plots.color_scale([cell.error_map for _, cell in shown])
+        scale = plots.color_scale([picked(cell.error_map, cell.mask) for _, cell in shown])
         first = shown[0][1]
-        own = None if first.own_map is None else plots.false_color(first.own_map, scale)
+        own = None if first.own_map is None else measured_only(first.own_map, first.mask, scale)
         known = "its own noise" if own is not None else "its own noise is not known"
         pictures = [self.picture("reference", known, self.displayed(first, first.reference), own)]
         for row, cell in shown:
             words = f"relMSE {row.relmse.mean:.2e}" + (f", ratio {row.ratio.mean:.2f}" if row.ratio else "")
             image = self.displayed(cell, cell.image)
-            pictures.append(self.picture(row.method, words, image, plots.false_color(cell.error_map, scale)))
+            pictures.append(
+                self.picture(row.method, words, image, measured_only(cell.error_map, cell.mask, scale))
+            )
         height, width, _ = first.image.shape
         name, bounds = escape(f"{scene}/{crop}"), f"{scale.vmin:.2g} {scale.vmax:.2g}"
         data = f'data-name="{name}" data-size="{width} {height}" data-range="{bounds}"'
@@ -172,6 +177,12 @@ class Sheet:
             f'<figure data-label="{name}"><img class="picture" alt="{name}" src="{data_uri(image)}">{errors_html}'
             f"<figcaption><b>{breakable(label)}</b> {escape(words)}</figcaption></figure>"
         )
+
+
+def measured_only(errors: Array, mask: Mask, scale: Any) -> NDArray[np.uint8]:
+    """The error map in false colour; grey where nothing is measured."""
+    colors = plots.false_color(errors, scale)
+    return colors if mask is None else np.where(mask[..., None], colors, UNMEASURED)
 
 
 def data_uri(pixels: NDArray[np.uint8]) -> str:

@@ -77,7 +77,8 @@ def legend_of(rows: Sequence[Row], suite: Suite, run: Run, transform: DisplayTra
     """How the numbers are to be read."""
     threshold = measures.bias_threshold(3 * len(rows))
     measured = (
-        "Measured pixels: those with subsurface light in the reference (its subsurface AOV is not zero)."
+        "Measured pixels: those with subsurface light in the reference (its subsurface AOV is not zero); error maps "
+        "are grey elsewhere."
         if suite.subsurface_only
         else "Measured pixels: all of the crop."
     )
