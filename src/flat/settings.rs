@@ -62,7 +62,7 @@ pub struct RenderSettings {
     pub control_variates: bool,
     /// Lights sampled where a walk comes out: `one`, `all`, `learned` (one, by visible contribution), or `auto`.
     pub exit_lights: String,
-    /// Where walks of `mixture` come out of a diffuse boundary, half of them go on to where indirect light was seen.
+    /// Where walks of `mixture` come out of a diffuse boundary, half of them go on to where light was seen.
     pub guide_exits: bool,
     /// What fills the boundary cache: `surface` (uniform samples) or `camera` (walks of camera paths).
     pub cache_fill: String,

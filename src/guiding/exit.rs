@@ -1,69 +1,117 @@
-//! Directions in which walks go on where they come out: by the cosine, or to where indirect light came from.
+//! Directions in which walks go on where they come out of a diffuse boundary: by the cosine, or to where light was seen.
 //!
-//! Light from lights is sampled there anyway; what surfaces send (a card, the other cheek) is found by chance alone
-//! otherwise. The directions are those of the probes that filled the boundary cache.
+//! Lights are sampled there anyway; what surfaces send (a card, the other cheek) is found by chance alone otherwise. The
+//! same for the directions in which walks start was tried: the walk's own randomness hides what they are worth, and the
+//! picture got noisier.
 
 use super::cache::{Cache, Record};
-use super::fit::fit;
-use super::vmf::VmfMixture;
+use super::cells::Cells;
+use super::directions::{DirectionSums, Directions};
+use crate::math::{PI, Rgb};
+use crate::sampling::cosine_hemisphere_pdf;
 use glam::{Vec2, Vec3};
-use std::sync::OnceLock;
+use rayon::prelude::*;
 
-/// A fitted distribution of indirect light, mixed with what the boundary samples by itself.
+/// Largest share of learned directions; the rest keeps the weight within 1 / (1 - this) of that of plain sampling, also
+/// where what was learned misleads.
+const GUIDED: f64 = 0.5;
+
+/// Telling samples for which a cell is believed half, against the coarser cell around it, or against the cosine.
+const PRIOR: f64 = 32.0;
+
+/// Edge of the coarser cells over that of the cells.
+const COARSER: f32 = 4.0;
+
+/// A learned density, mixed with what the boundary samples by itself.
 #[derive(Debug, Clone)]
-pub struct ExitGuide {
-    directions: VmfMixture,
+pub struct Exit {
+    directions: Directions,
+    /// Share of learned directions.
+    guided: f32,
 }
 
-/// Lobes per cell: its records are few, more lobes were no better.
-const LOBES: usize = 1;
+impl Exit {
+    fn fit(own: &DirectionSums, around: &DirectionSums) -> Option<Self> {
+        let trust = |sums: &DirectionSums| sums.telling() / (sums.telling() + PRIOR);
+        let own_share = trust(own);
+        let directions = Directions::fit([(own, own_share), (around, 1.0 - own_share)])?;
+        Some(Self { directions, guided: (GUIDED * trust(around)) as f32 })
+    }
 
-/// Share of guided directions; the rest keeps the weight within 4/3 of that of plain sampling, also where the few
-/// records mislead.
-const GUIDED: f32 = 0.25;
-
-impl ExitGuide {
     /// Solid-angle pdf of the mixture towards `wi` (render space), `plain` being that of plain sampling.
     pub fn pdf(&self, plain: f32, wi: Vec3) -> f32 {
-        (1.0 - GUIDED) * plain + GUIDED * self.directions.pdf(wi)
+        (1.0 - self.guided) * plain + self.guided * self.directions.pdf(wi)
     }
 
-    /// A guided direction, or the choice remapped for plain sampling.
+    /// A learned direction, or the choice remapped for plain sampling.
     pub fn sample(&self, u_choice: f32, u: Vec2) -> Result<Vec3, f32> {
-        if u_choice < GUIDED {
-            Ok(self.directions.sample(u_choice / GUIDED, u))
+        if u_choice < self.guided {
+            Ok(self.directions.sample(u_choice / self.guided, u))
         } else {
-            Err((u_choice - GUIDED) / (1.0 - GUIDED))
+            Err((u_choice - self.guided) / (1.0 - self.guided))
         }
     }
 }
 
-/// Guides of the cells of a cache, each fitted when a walk first comes out there.
+/// Exits of a boundary, by cell.
 #[derive(Debug)]
-pub struct ExitGuides {
-    /// Directions and weights of the indirect light of each cell's records.
-    seen: Vec<Vec<(Vec3, f32)>>,
-    fitted: Vec<OnceLock<Option<ExitGuide>>>,
+pub struct Exits {
+    cells: Cells,
+    learned: Vec<Option<Exit>>,
+    /// Of each cell, and of the coarser one that it lies in.
+    sums: Vec<DirectionSums>,
+    around: Vec<u32>,
+    coarse: Vec<DirectionSums>,
 }
 
-impl ExitGuides {
+impl Exits {
+    /// For the cells of `cache`, with the indirect light that the probes which filled it have seen.
     pub fn new(cache: &Cache, records: &[Record]) -> Self {
-        let mut seen = vec![Vec::new(); cache.means.len()];
+        let count = cache.means.len();
+        let mut coarser = Cells::new(COARSER * cache.cells.size);
+        let around = cache.means.iter().map(|cell| coarser.find_or_insert(cell.point, cell.normal)).collect();
+        let mut new = Self {
+            cells: cache.cells.clone(),
+            learned: vec![None; count],
+            sums: vec![DirectionSums::default(); count],
+            around,
+            coarse: vec![DirectionSums::default(); coarser.len()],
+        };
+        let mut seen = vec![DirectionSums::default(); count];
         for record in records {
-            if let (Some(cell), Some(indirect)) = (cache.cells.find(record.p, record.n), record.indirect) {
-                seen[cell as usize].push(indirect);
+            if let (Some(cell), Some((wi, irradiance))) = (new.find(record.p, record.n), record.indirect) {
+                // Out of a diffuse boundary f / p is the radiance, here irradiance / pi by one cosine sample.
+                let pdf = cosine_hemisphere_pdf(wi.dot(record.n));
+                seen[cell as usize].add(wi, pdf, Rgb::splat(irradiance / PI));
             }
         }
-        Self { fitted: seen.iter().map(|_| OnceLock::new()).collect(), seen }
+        (0..count).for_each(|cell| new.add(cell as u32, &seen[cell]));
+        new.fit();
+        new
     }
 
-    pub fn find(&self, cell: u32) -> Option<&ExitGuide> {
-        let fitted = &self.fitted[cell as usize];
-        fitted.get_or_init(|| Some(ExitGuide { directions: fit(&self.seen[cell as usize], LOBES)? })).as_ref()
+    /// The cell of a boundary point.
+    pub fn find(&self, p: Vec3, n: Vec3) -> Option<u32> {
+        self.cells.find(p, n)
+    }
+
+    pub fn at(&self, cell: u32) -> Option<&Exit> {
+        self.learned[cell as usize].as_ref()
+    }
+
+    /// Takes in what was seen at `cell`; [`Self::fit`] makes use of it.
+    pub fn add(&mut self, cell: u32, seen: &DirectionSums) {
+        self.sums[cell as usize].merge(seen);
+        self.coarse[self.around[cell as usize] as usize].merge(seen);
+    }
+
+    pub fn fit(&mut self) {
+        let fit = |cell: usize| Exit::fit(&self.sums[cell], &self.coarse[self.around[cell] as usize]);
+        self.learned = (0..self.sums.len()).into_par_iter().map(fit).collect();
     }
 
     pub fn memory(&self) -> usize {
-        let of_cell = |seen: &Vec<(Vec3, f32)>| seen.len() * size_of::<(Vec3, f32)>() + size_of::<ExitGuide>();
-        self.seen.iter().map(of_cell).sum()
+        let sums = (self.sums.len() + self.coarse.len()) * size_of::<DirectionSums>();
+        self.cells.memory() + self.learned.len() * size_of::<Option<Exit>>() + sums
     }
 }

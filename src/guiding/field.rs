@@ -2,7 +2,7 @@
 
 use super::cache::{Cache, Record};
 use super::control::Controls;
-use super::exit::{ExitGuide, ExitGuides};
+use super::exit::Exits;
 use super::learn::learn;
 use super::normals::{self, Sources};
 use super::plan::Walk;
@@ -32,7 +32,7 @@ pub struct Field {
     /// Choice of one region's normal: of the walks that follow the paper.
     receivers: Option<Receivers>,
     /// Where walks that come out go on: of the mixture.
-    exits: Option<ExitGuides>,
+    pub exits: Option<Exits>,
     /// Where nothing was recorded.
     pub elsewhere: Techniques,
 }
@@ -77,7 +77,7 @@ impl Field {
         let conditional = matches!(settings.walk, Walk::Bono | Walk::Bill) && !settings.exact;
         let sources = Sources::new(records, build, settings.cell, Profile::new(medium), bill);
         Self {
-            exits: settings.guide_exits.then(|| ExitGuides::new(&sources.cache, records)),
+            exits: settings.guide_exits.then(|| Exits::new(&sources.cache, records)),
             sources,
             regions: (0..cells).map(|_| OnceLock::new()).collect(),
             receivers: conditional.then(|| Receivers::new(cells)),
@@ -128,14 +128,9 @@ impl Field {
         self.receivers.as_ref()?.sample(&self.sources, region, receiver, u, u_direction)
     }
 
-    /// Where a walk that comes out at `p` with outward normal `n` finds indirect light.
-    pub fn exit(&self, p: Vec3, n: Vec3) -> Option<&ExitGuide> {
-        self.exits.as_ref()?.find(self.sources.cache.cells.find(p, n)?)
-    }
-
-    /// Whether walks have anything to teach: not those that are weighted by one normal.
+    /// Whether walks have anything to teach: not those of the literature that are weighted by one normal.
     pub fn learns(&self) -> bool {
-        self.settings.exact
+        self.settings.exact || self.exits.is_some()
     }
 
     /// Takes in what a pass has seen of `region`; `share`s and `controls` as asked for.
@@ -168,7 +163,7 @@ impl Field {
         };
         let regions = self.regions.iter().map(|region| 16 + region.get().map_or(0, |region| of_region(region)));
         let caches = self.cache.memory() + self.sources.cache.memory();
-        let caches = caches + self.exits.as_ref().map_or(0, ExitGuides::memory);
+        let caches = caches + self.exits.as_ref().map_or(0, Exits::memory);
         caches + regions.sum::<usize>() + self.receivers.as_ref().map_or(0, Receivers::memory)
     }
 }

@@ -7,6 +7,7 @@
 pub mod cache;
 mod cells;
 pub mod control;
+pub mod directions;
 pub mod exit;
 pub mod field;
 pub mod fit;
@@ -24,7 +25,7 @@ use crate::light::Choice;
 use crate::scene::Scene;
 use crate::subsurface::technique::{GuidedMedium, Techniques};
 use control::Controls;
-use exit::ExitGuide;
+use exit::Exit;
 use field::Field;
 use glam::{Vec2, Vec3};
 use plan::{Plan, Walk, plans};
@@ -155,9 +156,16 @@ impl Guide {
         }
     }
 
-    /// Where a walk that comes out of `instance` at `p` (walk space), outward normal `n`, finds indirect light.
-    pub fn exit(&self, instance: u32, p: Vec3, n: Vec3) -> Option<&ExitGuide> {
-        self.fields[instance as usize].as_ref()?.exit(p, n)
+    /// The cell where a walk comes out of `instance` at `p` (walk space), outward normal `n`, if directions are learned
+    /// there.
+    pub fn exit_cell(&self, instance: u32, p: Vec3, n: Vec3) -> Option<RegionId> {
+        let region = self.fields[instance as usize].as_ref()?.exits.as_ref()?.find(p, n)?;
+        Some(RegionId { instance, region })
+    }
+
+    /// What is known of the directions there.
+    pub fn exit(&self, cell: RegionId) -> Option<&Exit> {
+        self.fields[cell.instance as usize].as_ref()?.exits.as_ref()?.at(cell.region)
     }
 
     /// The lights of the first surface behind a pixel: what is seen directly deserves them all where they are few.
@@ -179,17 +187,23 @@ impl Guide {
 
     /// Whether walks have anything to teach.
     pub fn learns(&self) -> bool {
-        (self.learn_shares || self.controls) && self.fields.iter().flatten().any(Field::learns)
+        self.fields.iter().flatten().any(Field::learns)
     }
 
     /// Takes in the statistics of a pass.
     pub fn learn(&mut self, seen: &Statistics) {
-        for (at, sums) in seen {
+        for (at, sums) in &seen.walks {
             let classical = f64::from(self.classical).max(learn::CLASSICAL_FLOOR);
             if let Some(field) = &mut self.fields[at.instance as usize] {
                 field.learn(at.region, sums, self.learn_shares.then_some(classical), self.controls);
             }
         }
+        for (at, sums) in &seen.exits {
+            if let Some(exits) = self.fields[at.instance as usize].as_mut().and_then(|field| field.exits.as_mut()) {
+                exits.add(at.region, sums);
+            }
+        }
+        self.fields.iter_mut().flatten().filter_map(|field| field.exits.as_mut()).for_each(exit::Exits::fit);
     }
 
     /// Regions of all fields, and those of them that are lit.

@@ -1,8 +1,9 @@
 //! What is learned from walks: sums per region, gathered by tile and merged in the order of tiles.
 
+use super::directions::DirectionSums;
 use crate::math::Rgb;
 use crate::subsurface::technique::{PerTechnique, TECHNIQUES};
-use std::collections::BTreeMap;
+use std::collections::btree_map::{BTreeMap, Entry};
 
 /// A region of the boundary cache of an instance.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -131,10 +132,24 @@ fn add(sums: &mut [f64], other: &[f64]) {
 }
 
 /// Statistics of one tile, or of all: ordered, so that merging is the same for any number of threads.
-pub type Statistics = BTreeMap<RegionId, Sums>;
+#[derive(Debug, Default)]
+pub struct Statistics {
+    /// Of walks, by the region that they start in.
+    pub walks: BTreeMap<RegionId, Sums>,
+    /// Of the directions of light that comes out; the region is a coarse cell ([`super::exit::Exits`]).
+    pub exits: BTreeMap<RegionId, Box<DirectionSums>>,
+}
 
-pub fn merge(into: &mut Statistics, other: &Statistics) {
-    for (region, sums) in other {
-        into.entry(*region).or_default().merge(sums);
+impl Statistics {
+    pub fn merge(&mut self, other: Self) {
+        for (region, sums) in other.walks {
+            self.walks.entry(region).or_default().merge(&sums);
+        }
+        for (at, sums) in other.exits {
+            match self.exits.entry(at) {
+                Entry::Vacant(place) => drop(place.insert(sums)),
+                Entry::Occupied(mut place) => place.get_mut().merge(&sums),
+            }
+        }
     }
 }

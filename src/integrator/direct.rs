@@ -4,7 +4,7 @@ use super::nest::{Inside, Nest};
 use super::{Bucket, Path, Previous, add_to};
 use crate::bsdf::{Boundary, Bsdf, Side};
 use crate::guiding::LightsAt;
-use crate::guiding::exit::ExitGuide;
+use crate::guiding::exit::Exit;
 use crate::interaction::Interaction;
 use crate::light::{Choice, LightSample, ShapeHit};
 use crate::math::Rgb;
@@ -101,7 +101,7 @@ impl Path<'_> {
         si: &Interaction,
         bsdf: &Bsdf,
         lights: LightsAt,
-        guide: Option<&ExitGuide>,
+        guide: Option<&Exit>,
         sampler: &mut Sampler,
     ) {
         let (u_choice, u) = (sampler.next_1d(), sampler.next_2d());
@@ -125,7 +125,7 @@ impl Path<'_> {
         }
     }
 
-    fn add_light(&mut self, si: &Interaction, bsdf: &Bsdf, guide: Option<&ExitGuide>, light: Option<LightSample>) {
+    fn add_light(&mut self, si: &Interaction, bsdf: &Bsdf, guide: Option<&Exit>, light: Option<LightSample>) {
         let Some(light) = light.filter(|light| light.pdf > 0.0 && light.pdf.is_finite()) else { return };
         let wi = si.local(light.wi);
         let f = bsdf.eval(wi);

@@ -6,8 +6,9 @@ use crate::guiding::control::Controls;
 use crate::guiding::statistics::{RegionId, Statistics};
 use crate::math::Rgb;
 use crate::subsurface::technique::PerTechnique;
+use glam::Vec3;
 
-/// Most walks of a path that are logged: later ones (many internal reflections) add little.
+/// Most walks, and most exits, of a path that are logged: later ones (many internal reflections) add little.
 const MOST: usize = 8;
 
 /// A walk of the exact mixture that a region started.
@@ -25,6 +26,17 @@ struct Logged {
     correction: Rgb,
 }
 
+/// A direction out of a boundary that was drawn with solid-angle pdf `pdf`.
+struct Exited {
+    cell: RegionId,
+    direction: Vec3,
+    pdf: f32,
+    /// Path throughput before it was drawn.
+    throughput: Rgb,
+    /// What the path had brought before it.
+    before: Rgb,
+}
+
 /// Statistics of a tile's walks, and the walks of the path under way.
 #[derive(Default)]
 pub struct WalkLog {
@@ -32,6 +44,7 @@ pub struct WalkLog {
     /// Of the path under way or just over, where AOVs show it; to be taken.
     pub first: Option<FirstWalk>,
     walks: Vec<Logged>,
+    exits: Vec<Exited>,
 }
 
 impl Path<'_> {
@@ -53,10 +66,24 @@ impl Path<'_> {
         }
     }
 
+    /// Notes a direction out of the boundary at `cell`, before the throughput takes in its weight.
+    pub(super) fn log_exit(&mut self, cell: Option<RegionId>, direction: Vec3, pdf: f32) {
+        let (throughput, before) = (self.throughput, self.sample.color());
+        let (Some(cell), Some(log)) = (cell, &mut self.log) else { return };
+        if log.exits.len() < MOST && throughput.max_element() > 0.0 {
+            log.exits.push(Exited { cell, direction, pdf, throughput, before });
+        }
+    }
+
     /// Once the path is over: what each walk brought goes to the statistics, control variates to the image.
     pub(super) fn finish_walks(&mut self) {
         let after = self.sample.color();
         let Some(log) = &mut self.log else { return };
+        for exited in log.exits.drain(..).filter(|_| after.is_finite()) {
+            let brought = (after - exited.before) / exited.throughput.max_element();
+            let sums = log.statistics.exits.entry(exited.cell).or_default();
+            sums.add(exited.direction, exited.pdf, brought);
+        }
         for walk in log.walks.drain(..) {
             add_to(&mut self.sample, walk.bucket, -walk.throughput * walk.correction);
             if !after.is_finite() {
@@ -66,7 +93,7 @@ impl Path<'_> {
             let carried = walk.throughput.cmpgt(Rgb::ZERO);
             let estimate = Rgb::select(carried, (after - walk.before) / walk.throughput, Rgb::ZERO);
             let weight = walk.throughput / walk.throughput.max_element();
-            let sums = log.statistics.entry(walk.region).or_default();
+            let sums = log.statistics.walks.entry(walk.region).or_default();
             sums.add(&walk.ratios, weight * estimate, weight * (estimate - walk.correction));
             if walk.first && self.guide.controls {
                 sums.controls.get_or_insert_default().add(&walk.ratios, estimate);

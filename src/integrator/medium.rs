@@ -6,7 +6,7 @@ use super::watch::drawn;
 use super::{Bucket, Path, Previous};
 use crate::bsdf::{Boundary, Bsdf, Event, Side};
 use crate::film::Sample;
-use crate::guiding::exit::ExitGuide;
+use crate::guiding::exit::Exit;
 use crate::guiding::look::shares_by_kind;
 use crate::guiding::plan::{Plan, Walk};
 use crate::interaction::Interaction;
@@ -48,7 +48,7 @@ impl<'a> Path<'a> {
         }
         let enclosure = InstanceEnclosure::new(scene, si.instance);
         let mut passage = Passage { enclosure, instance: si.instance, boundary, plan, medium, first: self.depth == 0 };
-        let entry = BoundaryHit { triangle: hit.triangle, u: hit.u, v: hit.v };
+        let entry = BoundaryHit::of(hit);
         let p = passage.enclosure.point(&entry);
         let mut start = Start { p, d: wi, normal: si.ng, hit: entry, weight: Rgb::ONE };
         loop {
@@ -213,10 +213,12 @@ impl<'a> Path<'a> {
         // wo is below; the exit lobe does not depend on it.
         let bsdf = Bsdf::lambert_exit();
         let lights = self.guide.exit_choice(exit.instance, p, exit.ng);
-        let guide = self.guide.exit(exit.instance, p, exit.ng);
+        let cell = self.guide.exit_cell(exit.instance, p, exit.ng);
+        let guide = cell.and_then(|cell| self.guide.exit(cell));
         self.next_event(exit, &bsdf, lights, guide, sampler);
         let (wi, f, pdf) = leave(exit, &bsdf, guide, sampler)?;
         (wi.dot(exit.ng) > 0.0).then_some(())?;
+        self.log_exit(cell, wi, pdf);
         self.throughput *= f / pdf;
         self.bounce(exit, wi, false, pdf, lights)?;
         self.roulette(sampler)
@@ -251,12 +253,7 @@ impl<'a> Path<'a> {
 }
 
 /// Direction, f |cos| and solid-angle pdf of what leaves a diffuse boundary, by the mixture with `guide` if there is one.
-fn leave(
-    exit: &Interaction,
-    bsdf: &Bsdf,
-    guide: Option<&ExitGuide>,
-    sampler: &mut Sampler,
-) -> Option<(Vec3, Rgb, f32)> {
+fn leave(exit: &Interaction, bsdf: &Bsdf, guide: Option<&Exit>, sampler: &mut Sampler) -> Option<(Vec3, Rgb, f32)> {
     let (u_choice, u) = (sampler.next_1d(), sampler.next_2d());
     let Some(guide) = guide else {
         let chosen = bsdf.sample(u_choice, u)?;

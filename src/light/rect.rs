@@ -93,6 +93,11 @@ impl Rect {
     }
 }
 
+/// Of numbers that were f32: their squares neither overflow nor vanish, which is what `f64::hypot` takes its time for.
+fn norm(a: f64, b: f64) -> f64 {
+    (a * a + b * b).sqrt()
+}
+
 /// A rectangle projected on the unit sphere about a point, in f64; the paper's names.
 struct SphericalRect {
     x0: f64,
@@ -115,7 +120,7 @@ impl SphericalRect {
         let (x1, y1) = (x0 + 2.0 * u.length(), y0 + 2.0 * v.length());
         let z0 = -d.dot(patch.normal.as_dvec3()).abs();
         // z components of the inward normals of the four planes through p and an edge.
-        let n = |a: f64| a / a.hypot(z0);
+        let n = |a: f64| a / norm(a, z0);
         let (n0, n1, n2, n3) = (-n(y0), n(x1), n(y1), -n(x0));
         let angle = |a: f64, b: f64| (-a * b).clamp(-1.0, 1.0).acos();
         let (g0, g1, g2, g3) = (angle(n0, n1), angle(n1, n2), angle(n2, n3), angle(n3, n0));
@@ -128,10 +133,10 @@ impl SphericalRect {
         let au = f64::from(u.x) * self.solid_angle + self.k;
         let fu = (au.cos() * self.b0 - self.b1) / au.sin();
         // Rounding may leave [-1, 1] by an ulp: clamp before the root, and the point to the rectangle.
-        let cu = (1.0 / fu.hypot(self.b0)).copysign(fu).clamp(-1.0, 1.0);
+        let cu = (1.0 / norm(fu, self.b0)).copysign(fu).clamp(-1.0, 1.0);
         let xu = (-(cu * self.z0) / (1.0 - cu * cu).sqrt()).clamp(self.x0, self.x1);
-        let d = xu.hypot(self.z0);
-        let (h0, h1) = (self.y0 / d.hypot(self.y0), self.y1 / d.hypot(self.y1));
+        let d = norm(xu, self.z0);
+        let (h0, h1) = (self.y0 / norm(d, self.y0), self.y1 / norm(d, self.y1));
         let hv = h0 + f64::from(u.y) * (h1 - h0);
         let yv = (hv * d / (1.0 - hv * hv).sqrt()).clamp(self.y0, self.y1);
         let unit = |a: f64, a0: f64, a1: f64| (2.0 * (a - a0) / (a1 - a0) - 1.0) as f32;

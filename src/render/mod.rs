@@ -7,7 +7,7 @@ use crate::film::{Film, Tile};
 use crate::flat::RenderSettings;
 use crate::guiding::Guide;
 use crate::guiding::look::TechniqueShares;
-use crate::guiding::statistics::{Statistics, merge};
+use crate::guiding::statistics::Statistics;
 use crate::integrator::{PathSettings, PathStats, WalkLog, trace};
 use crate::sampling::sampler::Sampler;
 use crate::scene::Scene;
@@ -122,7 +122,7 @@ pub fn render(scene: &Scene, settings: &RenderSettings, film: &Film, progress: &
         let finished = AtomicU64::new(0);
         let seen = each_tile(film, |tile| {
             if progress.stopped() || out_of_time() {
-                return Statistics::new();
+                return Statistics::default();
             }
             let (stats, seen) = render_tile(scene, &guide, settings, tile, begin, count);
             progress.add(&stats);
@@ -175,7 +175,7 @@ impl Merger {
     fn add(&mut self, tile: usize, seen: Statistics) {
         self.waiting.insert(tile, seen);
         while let Some(seen) = self.waiting.remove(&self.next) {
-            merge(&mut self.merged, &seen);
+            self.merged.merge(seen);
             self.next += 1;
         }
     }

@@ -164,7 +164,7 @@ impl<'a> BoundaryOf<'a> {
             if !ours {
                 return None;
             }
-            let entry = BoundaryHit { triangle: hit.triangle, u: hit.u, v: hit.v };
+            let entry = BoundaryHit::of(&hit);
             let mut records = vec![self.probe(guide, &entry, 1.0, &mut sampler, &mut stats)];
             let normal = records[0].n;
             let u = Vec2::new(sampler.random(), sampler.random());

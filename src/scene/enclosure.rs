@@ -22,6 +22,13 @@ pub struct BoundaryHit {
     pub v: f32,
 }
 
+impl BoundaryHit {
+    /// Without its instance, whose boundary it is on.
+    pub fn of(hit: &SurfaceHit) -> Self {
+        Self { triangle: hit.triangle, u: hit.u, v: hit.v }
+    }
+}
+
 impl<'a> InstanceEnclosure<'a> {
     pub fn new(scene: &'a Scene, index: u32) -> Self {
         let instance = &scene.instances[index as usize];
