@@ -1,8 +1,12 @@
 """`dermis bench`: its numbers against hand-computed ones, and runs end to end on a tiny translucent card."""
 
+import csv
 import json
 import math
+import signal
+import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +16,7 @@ from PIL import Image
 pytest.importorskip("dermis._core", reason="the Rust core is not built")
 
 from dermis._core import CoreError
-from dermis.bench import measures, methods, reference, regions, render, runner, spec, suite
+from dermis.bench import crops, measures, methods, reference, render, runner, spec, store, suite
 from dermis.cli import build_parser, main
 from dermis.cli.settings import default_settings
 
@@ -88,8 +92,11 @@ def Xform "World" (
 
 SCALE = "/World/Wax/Surface.inputs:subsurfaceScale"
 
+#: What renders references where classical walks are under test.
+SECOND = "poe:walkPdf=exact:classicalFraction=0.5"
+
 #: Flags of a run of a second.
-SMALL = ("-w", "16", "--samples", "2", "--repeats", "2", "--referenceSamples", "16", "--quiet")
+SMALL = ("-w", "16", "--samples", "2", "--seeds", "2", "--referenceSamples", "16", "--quiet")
 
 
 @pytest.fixture
@@ -115,7 +122,7 @@ def write_spec(folder: Path, **changes: object) -> Path:
     content = {
         "methods": ["classical"],
         "samples": 2,
-        "repeats": 1,
+        "seeds": 1,
         "settings": {"resolution": [16, 16]},
         "reference": {"samples": 16},
         "scenes": [{"stage": "block.usda"}],
@@ -142,7 +149,8 @@ def test_relative_error_by_hand():
     assert errors.plain == pytest.approx(expected.mean())
     # Of two pixels the worse one is dropped.
     assert errors.trimmed == pytest.approx(expected[0, 0])
-    assert (errors.noise, errors.corrected) == (0.0, errors.plain)
+    assert (errors.noise, errors.relmse) == (0.0, errors.plain)
+    assert errors.mse == pytest.approx((0.25 + 0.01) / 6.0)
 
 
 def test_trimming_drops_a_thousandth_rounded_up():
@@ -178,9 +186,11 @@ def test_noise_of_the_reference_is_subtracted():
     errors = measures.measure(image, mean, variance)
     exact = float(measures.error_map(image, truth).mean())
     assert errors.plain == pytest.approx(2.0 * exact, rel=0.05)
-    assert errors.corrected == pytest.approx(exact, rel=0.05)
-    assert errors.corrected_trimmed == pytest.approx(exact, rel=0.05)
-    assert errors.corrected_trimmed < errors.corrected
+    assert errors.relmse == pytest.approx(exact, rel=0.05)
+    assert errors.relmse_trimmed == pytest.approx(exact, rel=0.05)
+    assert errors.relmse_trimmed < errors.relmse
+    assert errors.squared == pytest.approx(2.0 * 0.02**2, rel=0.05)
+    assert errors.mse == pytest.approx(0.02**2, rel=0.05)
 
 
 def test_halves_by_hand():
@@ -208,12 +218,61 @@ def test_ratio_by_hand():
     # Means 4 x 2 over 1 x 4.
     ratio = measures.efficiency_ratio([0.5, 1.5], [4.0, 4.0], [4.0, 4.0], [2.0, 2.0])
     assert ratio.mean == pytest.approx(2.0)
-    # Shares -0.5 and -1.5: standard deviation sqrt(1/2), over sqrt(2) repeats.
+    # Shares -0.5 and -1.5: standard deviation sqrt(1/2), over sqrt(2) seeds.
     assert ratio.error == pytest.approx(2.0 * 0.5)
     # What goes up and down with the baseline is no uncertainty of the ratio.
     paired = measures.efficiency_ratio([1.0, 3.0], [1.0, 1.0], [2.0, 6.0], [1.0, 1.0])
     assert (paired.mean, paired.error) == (pytest.approx(2.0), pytest.approx(0.0, abs=1e-12))
     assert measures.efficiency_ratio([-1.0], [1.0], [1.0], [1.0]) is None
+
+
+def test_masked_errors_are_those_of_the_masked_pixels_alone():
+    rng = np.random.default_rng(3)
+    truth, image, variance = rng.random((3, 8, 8, 3))
+    mask = np.zeros((8, 8), dtype=bool)
+    mask[2:6, 3:7] = True
+    part = (slice(2, 6), slice(3, 7))
+    masked = measures.measure(image, truth, variance, mask)
+    assert masked == measures.measure(image[part], truth[part], variance[part])
+    assert masked != measures.measure(image, truth, variance)
+    with pytest.raises(measures.MeasureError, match="no pixel is measured"):
+        measures.measure(image, truth, variance, np.zeros((8, 8), dtype=bool))
+
+
+def test_flip_grows_with_the_error():
+    pytest.importorskip("flip_evaluator")
+    rng = np.random.default_rng(4)
+    truth = rng.random((32, 32, 3), dtype=np.float32)
+    noise = rng.standard_normal(truth.shape, dtype=np.float32)
+    little, much = (np.clip(truth + size * noise, 0.0, 1.0) for size in (0.02, 0.2))
+    assert measures.flip(truth, truth) == 0.0
+    assert 0.0 < measures.flip(little, truth) < measures.flip(much, truth) < 1.0
+    # Black against white is as far as it goes.
+    assert measures.flip(np.zeros_like(truth), np.ones_like(truth)) > 0.9
+    half = np.zeros((32, 32), dtype=bool)
+    half[:, 16:] = True
+    changed = truth.copy()
+    changed[:, :8] = 0.0
+    assert measures.flip(changed, truth, half) < 0.01 < measures.flip(changed, truth)
+
+
+def test_bands_are_those_of_student():
+    stats = pytest.importorskip("scipy.stats")
+    for freedom in range(1, 100):
+        assert measures.student(freedom) == pytest.approx(stats.t.ppf(0.975, freedom), rel=1e-3)
+    low, high = measures.number([1.0, 2.0, 3.0]).band
+    # Mean 2, standard error 1 / sqrt(3), in the logarithm.
+    factor = math.exp(stats.t.ppf(0.975, 2) / math.sqrt(3.0) / 2.0)
+    assert (low, high) == (pytest.approx(2.0 / factor, rel=1e-3), pytest.approx(2.0 * factor, rel=1e-3))
+    assert measures.number([1.0]).band is None and measures.number([-1.0, 0.5]).band is None
+
+
+def test_slope_by_hand():
+    # Halved error for twice the samples, and for four times.
+    found = measures.slope([[1.0, 2.0, 4.0], [1.0, 4.0]], [[8.0, 4.0, 2.0], [2.0, 1.0]])
+    assert found.mean == pytest.approx(-0.75) and found.error == pytest.approx(0.25)
+    assert measures.slope([[4.0]], [[1.0]]) is None
+    assert measures.slope([[1.0, 2.0]], [[1.0, -0.1]]) is None
 
 
 def test_geometric_mean_by_hand():
@@ -223,7 +282,7 @@ def test_geometric_mean_by_hand():
     assert measures.geometric_mean([]) is None
 
 
-# Methods, regions, suites
+# Methods, crops, suites
 
 
 def test_methods_are_parsed():
@@ -269,10 +328,10 @@ def test_regions_are_the_pixels_of_crops(stage, tmp_path):
         assert main(["record", str(stage), str(file), *flags]) == 0
         s = oiio.ImageBuf(str(file)).spec()
         expected = (s.x, s.y, s.x + s.width, s.y + s.height)
-        found = regions.window(ndc, (21, 21))
+        found = crops.window(ndc, (21, 21))
         assert found == expected
         # Fed back as edges of pixels, a window is itself.
-        assert regions.window(tuple(found.ndc((21, 21))), (21, 21)) == found
+        assert crops.window(tuple(found.ndc((21, 21))), (21, 21)) == found
 
 
 @pytest.mark.parametrize(
@@ -285,12 +344,11 @@ def test_regions_are_the_pixels_of_crops(stage, tmp_path):
         (["a.usda", "--methods", "classical", "--budget", "1", "--samples", "1"], "give one of --budget S"),
         (["a.usda", "--methods", "classical", "--budget", "0"], "expected seconds above 0"),
         (["a.usda", "--methods", "classical", "--samples", "4,x"], "no list of numbers"),
-        (["a.usda", "--methods", "classical", "--samples", "4"], "a has no reference"),
         (["a.usda", "--methods", "classical", "--samples", "4", "--referenceSamples", "1"], "2 or more"),
-        (["a.usda", "--region", "ear"], "expected [SCENE/]NAME=X0,Y0,X1,Y1"),
-        (["a.usda", "--region", "ear=0,0,1"], "expected four numbers"),
-        (["a.usda", "--region", "ear=0.5,0,0.5,1"], "X0 < X1"),
-        (["a.usda", "--region", "b/ear=0,0,1,1"], "there is no stage 'b'; there are a"),
+        (["a.usda", "--crops", "ear"], "expected [SCENE/]NAME=X0,Y0,X1,Y1"),
+        (["a.usda", "--crops", "ear=0,0,1"], "expected four numbers"),
+        (["a.usda", "--crops", "ear=0.5,0,0.5,1"], "X0 < X1"),
+        (["a.usda", "--crops", "b/ear=0,0,1,1"], "there is no stage 'b'; there are a"),
         (["a.usda", "--set", "samples=4"], "samples is for the comparison itself to decide"),
         (["a.usda", "--set", "sampels=4"], "did you mean samples?"),
         (["a.usda", "b.usda", "--reference", "r.exr"], "--reference is for one stage"),
@@ -308,9 +366,9 @@ def test_more_usage_errors(stage, tmp_path, capsys):
     named = (stage, "--methods", "classical", "--out", tmp_path / "out", *SMALL)
     for flags, said in [
         (["--baseline", "mixture"], "the methods are classical"),
-        (["--region", "a=0,0,1,1", "--region", "a=0,0,.5,1"], "region 'a' is there twice"),
-        (["--figure", "f.png", "--figureRows", "block/ear"], "the regions are block/frame"),
-        (["--figure", "f.png", "--noPlots"], "--figure does not go with --noPlots"),
+        (["--crops", "a=0,0,1,1", "--crops", "a=0,0,.5,1"], "crop 'a' is there twice"),
+        (["--figure", "f.png", "--figureRows", "block/ear"], "the crops are block/frame"),
+        (["--figure", "f.png", "--numbersOnly"], "--figure does not go with --numbersOnly"),
         (["--figure", "f.gif"], "must end in one of .png"),
     ]:
         assert run(*named, *flags) == 2
@@ -323,16 +381,17 @@ def test_more_usage_errors(stage, tmp_path, capsys):
     [
         ({"method": ["classical"]}, "there is no 'method'"),
         ({"scenes": []}, "expected a list of at least one"),
-        ({"scenes": [{"stage": "block.usda", "regoins": {}}]}, "scenes[0]: there is no 'regoins'"),
+        ({"scenes": [{"stage": "block.usda", "corps": {}}]}, "scenes[0]: there is no 'corps'"),
         ({"scenes": [{"name": "block"}]}, "scenes[0]: stage: expected a file name"),
-        ({"scenes": [{"stage": "block.usda", "regions": {"ear": [0, 0, 1]}}]}, "expected four numbers"),
+        ({"scenes": [{"stage": "block.usda", "crops": {"ear": [0, 0, 1]}}]}, "expected four numbers"),
         ({"scenes": [{"stage": "block.usda"}] * 2}, "scene 'block' is there twice"),
         ({"settings": {"walk": "mixture"}}, "walk is for the comparison itself to decide"),
         ({"settings": {"resolution": [16]}}, "2 values were expected"),
         ({"samples": [0]}, "samples: expected a whole number of at least 1"),
-        ({"repeats": "3"}, "repeats: expected a whole number"),
+        ({"seeds": "3"}, "seeds: expected a whole number"),
         ({"reference": {"sample": 3}}, "reference: there is no 'sample'"),
-        ({"methods": "classical", "reference": {}}, "block has no reference"),
+        ({"methods": "classical", "reference": {"samples": 1}}, "--referenceSamples 2 or more"),
+        ({"wholeFrames": "no"}, "wholeFrames: expected true or false"),
     ],
 )
 def test_wrong_descriptions_are_usage_errors(stage, tmp_path, capsys, changes, said):
@@ -354,7 +413,7 @@ def test_wrong_descriptions_are_usage_errors(stage, tmp_path, capsys, changes, s
 )
 def test_wrong_changes_of_a_stage_are_errors(stage, tmp_path, capsys, scene, said):
     file = write_spec(tmp_path, scenes=[{"stage": "block.usda", **scene}])
-    assert run("--spec", file, "--out", tmp_path / "out", "--noPlots", "--quiet") == 1
+    assert run("--spec", file, "--out", tmp_path / "out", "--numbersOnly", "--quiet") == 1
     assert said in capsys.readouterr().err
 
 
@@ -364,14 +423,43 @@ def test_flags_win_over_the_description(tmp_path):
     )
     read = suite_of(
         *("--spec", file, "--only", "a", "--methods", "mixture,classical", "--baseline", "classical"),
-        *("--budget", "2", "--repeats", "5", "--set", "maxDepth=1", "--no-crops", "--referenceSamples", "8"),
+        *("--budget", "2", "--seeds", "5", "--set", "maxDepth=1", "--wholeFrames", "--referenceSamples", "8"),
     )
     assert [scene.name for scene in read.scenes] == ["a"]
     assert read.scenes[0].stage == tmp_path / "a.usda"
     assert read.scenes[0].settings == {"resolution": [16, 16], "maxDepth": 1}
     assert [method.label for method in read.methods] == ["mixture", "classical"]
-    assert (read.baseline, read.works, read.repeats) == ("classical", (suite.Work("budget", 2.0),), 5)
-    assert (read.crops, read.reference_samples) == (False, 8)
+    assert (read.baseline, read.works, read.seeds) == ("classical", (suite.Work("budget", 2.0),), 5)
+    assert (read.whole_frames, read.reference_samples) == (True, 8)
+
+
+@pytest.mark.parametrize(
+    ("tested", "named", "made", "note"),
+    [
+        ("mixture,bono:walkPdf=conditional", None, "classical", ""),
+        ("classical,mixture", None, SECOND, "classical is under test and cannot be its own reference"),
+        ("plain=classical:seed=3", None, SECOND, "classical is under test, as plain"),
+        ("mixture,auto", None, SECOND, "under test, as auto"),
+        ("poe", None, "classical", ""),
+        ("poe,classical", None, SECOND, "classical is under test and"),
+        ("classical,mixture", "bono", "bono", ""),
+        ("classical,mixture", "classical", "classical", "as was asked for, and is under test"),
+    ],
+)
+def test_reference_is_not_rendered_by_what_is_under_test(tested, named, made, note):
+    asked = ["--referenceMethod", named] if named else []
+    read = suite_of("a.usda", "--methods", tested, "--samples", "2,8", *asked)
+    assert read.reference_method.label == made and read.reference_samples == 8 * 64
+    assert (note in read.reference_note) and bool(note) == bool(read.reference_note)
+
+
+def test_reference_methods_may_run_out(capsys, tmp_path):
+    flags = ("a.usda", "--methods", f"classical,half={SECOND}", "--samples", "2", "--out", tmp_path / "out")
+    assert run(*flags) == 2
+    assert "name another method by --referenceMethod, or give --reference FILE" in capsys.readouterr().err
+    # With a reference at hand there is nothing to choose.
+    read = suite_of(*flags[:5], "--reference", "r.exr")
+    assert read.reference_method is None and read.reference_note == ""
 
 
 def test_methods_are_interleaved_in_seeded_order(tmp_path):
@@ -382,7 +470,7 @@ def test_methods_are_interleaved_in_seeded_order(tmp_path):
         class Scene:
             spec = read.scenes[0]
 
-        targets = [runner.Target("frame", regions.Window(0, 0, 1, 1), ())]
+        targets = [runner.Target("frame", crops.Window(0, 0, 1, 1), ())]
         return [(j.repeat, j.method.label, j.work.amount) for j in runner.jobs_of(Scene, targets, read)]
 
     first = order(1)
@@ -396,27 +484,28 @@ def test_methods_are_interleaved_in_seeded_order(tmp_path):
 
 
 def test_end_to_end(stage, tmp_path, capsys):
+    pytest.importorskip("flip_evaluator")
     out = tmp_path / "out"
-    flags = ("--region", "left=0.2,0.2,0.5,0.8", "--region", "block/right=0.5,0.2,0.8,0.8")
+    flags = ("--crops", "left=0.2,0.2,0.5,0.8", "--crops", "block/right=0.5,0.2,0.8,0.8")
     named = "classical,again=classical:seed=90,wrong=classical:subsurfaceBoundary=indexMatched"
     figure = tmp_path / "deep" / "figure.png"
-    amounts = ("-w", "24", "--samples", "4,16", "--repeats", "3", "--referenceSamples", "128", "--quiet")
+    amounts = ("-w", "24", "--samples", "4,16", "--seeds", "3", "--referenceSamples", "128", "--quiet")
     assert run(stage, "--methods", named, "--out", out, "--figure", figure, *flags, *amounts) == 0
     said = capsys.readouterr()
     assert said.err == ""
-    assert said.out == (out / "table.md").read_text()
 
     found = results(out)
     assert len(found["renders"]) == 3 * 2 * 2 * 3 and len(found["rows"]) == 3 * 2 * 2
-    by_key = {(r["region"], r["method"], r["work"]["amount"]): r for r in found["rows"]}
+    by_key = {(r["crop"], r["method"], r["work"]["amount"]): r for r in found["rows"]}
     row = by_key["left", "classical", 16]
     mine = [
         r
         for r in found["renders"]
-        if (r["region"], r["method"], r["work"]["amount"]) == ("left", "classical", 16)
+        if (r["crop"], r["method"], r["work"]["amount"]) == ("left", "classical", 16)
     ]
     assert {r["seed"] for r in mine} == {1, 2, 3}
     assert row["relmse"]["mean"] == pytest.approx(np.mean([r["plain"] - r["noise"] for r in mine]))
+    assert row["flip"]["mean"] == pytest.approx(np.mean([r["flip"] for r in mine]))
     assert row["cpu"]["mean"] == pytest.approx(np.mean([r["cpu"] for r in mine])) and row["cpu"]["mean"] > 0.0
     assert row["efficiency"] == pytest.approx(1.0 / row["relmse"]["mean"] / row["cpu"]["mean"])
     assert row["samples"]["mean"] == 16 and row["steps"] > 1.0
@@ -436,24 +525,119 @@ def test_end_to_end(stage, tmp_path, capsys):
     assert found["machine"]["dermis"] and found["machine"]["cores"] >= 1
     assert found["scenes"][0]["method_settings"]["wrong"]["subsurfaceBoundary"] == "indexMatched"
     assert found["suite"]["works"] == [{"kind": "samples", "amount": 4}, {"kind": "samples", "amount": 16}]
-    assert len(list((out / "errors").iterdir())) == len(list((out / "images").iterdir())) == 6
-    for picture in (figure, out / "relmse_over_time.png", out / "relmse_over_samples.png"):
+    for picture in (figure, out / "curves.png"):
         assert min(Image.open(picture).size) > 100
+    with (out / "results.csv").open() as lines:
+        table = list(csv.DictReader(lines))
+    assert len(table) == len(found["renders"])
+    for line, render_ in zip(table, found["renders"], strict=True):
+        assert (line["crop"], line["method"]) == (render_["crop"], render_["method"])
+        assert float(line["relmse"]) == render_["relmse"] and 0.0 < float(line["flip"]) < 1.0
+    slopes = {(s["crop"], s["method"]): s["slope"]["mean"] for s in found["slopes"]}
+    assert -2.0 < slopes["left", "classical"] < -0.5
+
+
+def test_a_method_two_percent_too_bright_is_flagged(stage, tmp_path, monkeypatch, capsys):
+    def scaled(scene, settings, window, **more):
+        rendered = render.render(scene, settings, window, **more)
+        return replace(rendered, image=rendered.image * 1.02) if settings.get("maxDepth") == 11 else rendered
+
+    monkeypatch.setattr(runner, "render", scaled)
+    amounts = ("-w", "32", "--samples", "64", "--seeds", "3", "--referenceSamples", "512", "--quiet",
+               "--crops", "front=.2,.2,.8,.8")  # fmt: skip
+    named = "classical,bright=classical:maxDepth=11"
+    flags = (stage, "--methods", named, "--out", tmp_path / "out", "--numbersOnly", *amounts)
+    assert run(*flags) == 0
+    lines = [line for line in capsys.readouterr().out.splitlines() if "bright" in line or "classical" in line]
+    assert [" ! |" in line for line in lines if "e-0" in line and "spp" in line] == [False, True]
+    plain, bright = (row["bias"] for row in results(tmp_path / "out")["rows"])
+    assert max(map(abs, plain)) < measures.bias_threshold(6) < max(bright)
+
+
+def test_two_runs_agree_within_their_own_bands(stage, tmp_path):
+    bands = []
+    for seed in (1, 101):
+        out = tmp_path / f"out{seed}"
+        amounts = ("-w", "24", "--samples", "4,16", "--seeds", "4", "--referenceSamples", "512", "--quiet")
+        flags = ("--methods", "classical,poe", "--seed", seed, "--out", out, "--numbersOnly")
+        assert run(stage, *flags, *amounts) == 0
+        rows = results(out)["rows"]
+        bands.append({(row["method"], row["work"]["amount"]): row["relmse_band"] for row in rows})
+    first, second = bands
+    assert len(first) == 4 and first != second
+    for key, (low, high) in first.items():
+        assert low <= second[key][1] and second[key][0] <= high, (key, first[key], second[key])
+    # They are narrow enough to tell 4 samples from 16, else they agreed with anything.
+    for method in ("classical", "poe"):
+        assert first[method, 16][1] < second[method, 4][0]
+
+
+def test_subsurface_only_leaves_out_what_is_not(stage, tmp_path, capsys):
+    # The frame is wider than the block: around it there is nothing below a surface.
+    rows = {}
+    for flags in ([], ["--subsurfaceOnly"]):
+        out = tmp_path / f"out{len(rows)}"
+        assert run(stage, "--methods", "classical", "--out", out, "--numbersOnly", *flags, *SMALL) == 0
+        rows[len(flags)] = results(out)["rows"][0]
+    assert "Measured pixels: those with subsurface light" in capsys.readouterr().out
+    assert rows[1]["mse"]["mean"] > 1.05 * rows[0]["mse"]["mean"] > 0.0
+    assert main(["record", str(stage), str(tmp_path / "r.exr"), "-w", "16", "--samples", "4", "--aov", "alpha",
+                 "--seed", "99", "--progress", "none"]) == 0  # fmt: skip
+    given = ("--subsurfaceOnly", "--reference", tmp_path / "r.exr")
+    assert run(stage, "--methods", "classical", "--out", out, "--numbersOnly", *given, *SMALL) == 1
+    assert "it has no subsurface AOV, which --subsurfaceOnly goes by" in capsys.readouterr().err
+
+
+def test_progress_is_said_on_stderr_line_by_line(stage, tmp_path, capsys):
+    flags = (stage, "--methods", "poe", "--out", tmp_path / "out", "--numbersOnly", *SMALL[:-1])
+    for kept in ("", ", kept"):
+        assert run(*flags) == 0
+        said = capsys.readouterr().err.splitlines()
+        assert [line.partition("] ")[0] for line in said] == ["[1/4", "[2/4", "[3/4", "[4/4"]
+        assert said[0] == f"[1/4] block frame: reference, half 1 of 2{kept}"
+        assert said[3] == f"[4/4] block frame: poe, 2 spp, seed 2 of 2{kept}"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are POSIX's")
+def test_a_signal_ends_a_run_and_keeps_what_is_complete(stage, tmp_path):
+    out = tmp_path / "out"
+    command = [
+        sys.executable,
+        "-m",
+        "dermis",
+        "bench",
+        str(stage),
+        "--methods",
+        "classical",
+        "--budget",
+        "0.2,3",
+    ]
+    command += ["--seeds", "20", "--referenceSamples", "16", "-w", "16", "--out", str(out), "--numbersOnly"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        for line in process.stderr:
+            if line.startswith("[5/"):  # two halves and two renders are behind
+                break
+        process.send_signal(signal.SIGINT)
+        said, _ = process.communicate(timeout=60)
+    assert process.returncode == 130 and "interrupted: not all that was asked for" in said
+    found = results(out)
+    assert found["interrupted"] is True and len(found["renders"]) == len(list((out / "runs").iterdir())) >= 2
 
 
 def test_crops_and_cuts_of_the_frame_are_the_same_pixels(stage, tmp_path):
-    region = ("--region", "part=0.25,0.25,0.75,0.6", "--noPlots", *SMALL)
+    crop = ("--crops", "part=0.25,0.25,0.75,0.6", "--numbersOnly", *SMALL)
     rows = []
-    for kind in ("--crops", "--no-crops"):
-        assert run(stage, "--methods", "classical", "--out", tmp_path / kind, kind, *region) == 0
-        rows.append(results(tmp_path / kind)["rows"][0])
+    for whole in ([], ["--wholeFrames"]):
+        out = tmp_path / f"out{len(rows)}"
+        assert run(stage, "--methods", "classical", "--out", out, *whole, *crop) == 0
+        rows.append(results(out)["rows"][0])
     assert rows[0]["relmse"] == rows[1]["relmse"] and rows[0]["bias"] == rows[1]["bias"]
 
 
 def test_reference_is_reused_until_the_scene_changes(stage, tmp_path, capsys):
     out = tmp_path / "out"
     kept = out / "reference"
-    flags = ("--out", out, "--noPlots", *SMALL)
+    flags = ("--out", out, "--numbersOnly", *SMALL)
 
     def halves() -> dict[str, int]:
         return {file.name: file.stat().st_mtime_ns for file in kept.iterdir()}
@@ -493,7 +677,7 @@ def test_overrides_and_variants_change_the_picture_alone(stage, tmp_path):
     session = tmp_path / "session.usda"
     session.write_text('#usda 1.0\nover "World"\n{\nover "Key"\n{\nfloat inputs:intensity = 20\n}\n}\n')
     file = write_spec(tmp_path, scenes=scenes, samples=16)
-    flags = ("--spec", file, "--noPlots", "--quiet", "--sessionLayer", session)
+    flags = ("--spec", file, "--numbersOnly", "--quiet", "--sessionLayer", session)
     assert run(*flags, "--out", tmp_path / "out") == 0
     assert stage.read_text() == before and "subsurfaceScale" not in session.read_text()
     found = results(tmp_path / "out")
@@ -501,7 +685,7 @@ def test_overrides_and_variants_change_the_picture_alone(stage, tmp_path):
     oiio = pytest.importorskip("OpenImageIO")
     means = {}
     for scene in found["scenes"]:
-        image = oiio.ImageBuf(scene["regions"][0]["reference"][0])
+        image = oiio.ImageBuf(scene["crops"][0]["reference"][0])
         means[scene["name"]] = image.get_pixels(oiio.FLOAT)[4:12, 4:12, :3].mean(axis=(0, 1))
     assert (means["dark"] < 0.5 * means["plain"]).all()
     np.testing.assert_allclose(means["thin"][2] / means["plain"][2], 0.5, rtol=0.2)
@@ -523,14 +707,14 @@ def test_given_references(stage, tmp_path, capsys):
         base = ["-w", "16", "--samples", "32", "--progress", "none"]
         assert main(["record", str(stage), str(files[name]), *base, *flags]) == 0
     capsys.readouterr()
-    base = (stage, "--methods", "classical", "--samples", "2", "-w", "16", "--noPlots", "--quiet")
+    base = (stage, "--methods", "classical", "--samples", "2", "-w", "16", "--numbersOnly", "--quiet")
 
-    def bench(*names: str, region: str = "r=0.25,0.25,0.75,0.75") -> int:
+    def bench(*names: str, crop: str = "r=0.25,0.25,0.75,0.75") -> int:
         given = [flag for name in names for flag in ("--reference", files[name])]
-        return run(*base, "--region", region, *given, "--out", tmp_path / "out")
+        return run(*base, "--crops", crop, *given, "--out", tmp_path / "out")
 
     assert bench("a", "b") == 0
-    assert results(tmp_path / "out")["scenes"][0]["regions"][0]["noise_from"] == "difference of two halves"
+    assert results(tmp_path / "out")["scenes"][0]["crops"][0]["noise_from"] == "difference of two halves"
     halves = results(tmp_path / "out")["reference_noise"][0]["noise"]
     assert "is not known" not in capsys.readouterr().out
     assert bench("a") == 0
@@ -539,7 +723,7 @@ def test_given_references(stage, tmp_path, capsys):
     assert results(tmp_path / "out")["reference_noise"][0]["noise"] == pytest.approx(2.0 * halves, rel=0.5)
     assert bench("bare") == 0
     assert "noise is not known" in capsys.readouterr().out
-    assert bench("corner", region="r=0.1,0.1,0.4,0.4") == 0
+    assert bench("corner", crop="r=0.1,0.1,0.4,0.4") == 0
     for names, said in [
         (["other"], "it is of 8 x 8 pixels, block of 16 x 16"),
         (["corner"], "does not cover"),
@@ -555,7 +739,7 @@ def test_given_references(stage, tmp_path, capsys):
 
 
 def test_noisy_reference_is_warned_about(stage, tmp_path, capsys):
-    flags = ("-w", "16", "--samples", "16", "--referenceSamples", "16", "--noPlots", "--quiet")
+    flags = ("-w", "16", "--samples", "16", "--referenceSamples", "16", "--numbersOnly", "--quiet")
     assert run(stage, "--methods", "classical", "--out", tmp_path / "out", *flags) == 0
     said = capsys.readouterr().out
     assert "more than 10% of the smallest error measured; give it more samples: block/frame" in said
@@ -567,11 +751,11 @@ def test_budget_is_a_time_limit(stage, tmp_path):
         "16",
         "--budget",
         "0.05,0.2",
-        "--repeats",
+        "--seeds",
         "1",
         "--referenceSamples",
         "16",
-        "--noPlots",
+        "--numbersOnly",
         "--quiet",
     )
     assert run(stage, "--methods", "classical", "--out", tmp_path / "out", *flags) == 0
@@ -585,20 +769,22 @@ def test_missing_matplotlib_is_said_before_anything_renders(stage, tmp_path, mon
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     flags = (stage, "--methods", "classical", "--out", tmp_path / "out", *SMALL)
     assert run(*flags) == 2
-    assert "pip install matplotlib" in capsys.readouterr().err
+    assert "pip install matplotlib flip-evaluator" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
-    assert run(*flags, "--noPlots") == 0
+    assert run(*flags, "--numbersOnly") == 0
+    assert "FLIP: not measured" in capsys.readouterr().out
+    assert not (tmp_path / "out" / "report.html").exists()
 
 
 def test_a_method_that_fails_does_not_stop_the_others(stage, tmp_path, monkeypatch, capsys):
-    def failing(scene, settings, window, file=None):
+    def failing(scene, settings, window, **more):
         if settings["walk"] == "poe":
             raise CoreError("the render failed: no such luck")
-        return render.render(scene, settings, window, file)
+        return render.render(scene, settings, window, **more)
 
     monkeypatch.setattr(runner, "render", failing)
     out = tmp_path / "out"
-    assert run(stage, "--methods", "poe,classical", "--out", out, "--noPlots", *SMALL) == 1
+    assert run(stage, "--methods", "poe,classical", "--out", out, "--numbersOnly", *SMALL) == 1
     said = capsys.readouterr()
     assert "failed: block frame: poe, 2 spp: the render failed: no such luck" in said.err
     rows = results(out)["rows"]
@@ -608,26 +794,83 @@ def test_a_method_that_fails_does_not_stop_the_others(stage, tmp_path, monkeypat
 
 
 def test_interrupted_runs_report_what_is_there(stage, tmp_path, monkeypatch, capsys):
-    calls = []
-
-    def interrupted(scene, settings, window, file=None):
-        calls.append(settings)
-        if len(calls) == 6:  # two warm-ups, three of four renders
-            raise KeyboardInterrupt
-        return render.render(scene, settings, window, file)
-
-    monkeypatch.setattr(runner, "render", interrupted)
+    calls = count_renders(monkeypatch, stop_at=6)  # two warm-ups, three of four renders
     out = tmp_path / "out"
-    assert run(stage, "--methods", "classical,poe", "--out", out, *SMALL) == 130
+    flags = (stage, "--methods", "classical,poe", "--out", out, "--numbersOnly", *SMALL)
+    assert run(*flags) == 130
     assert "interrupted: not all that was asked for is here" in capsys.readouterr().out
     found = results(out)
     assert found["interrupted"] is True and len(found["renders"]) == 3
-    assert (out / "relmse_over_time.png").exists()
+    assert len((out / "results.csv").read_text().splitlines()) == 4
+
+    # The second run takes up the three, as they were.
+    calls.clear()
+    assert run(*flags) == 0
+    again = results(out)
+    assert (again["interrupted"], again["kept"], len(again["renders"])) == (False, 3, 4)
+    assert len(calls) == 2 and "3 of 4 renders are of an earlier run" in capsys.readouterr().out
+    for render_before in found["renders"]:
+        assert render_before in again["renders"]
+    # A third has nothing to do, and the same to say.
+    calls.clear()
+    assert run(*flags) == 0
+    assert calls == [] and results(out)["rows"] == again["rows"]
+
+
+def test_what_is_kept_is_reused_for_the_same_alone(stage, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    calls = count_renders(monkeypatch)
+
+    def rendered(*flags: object, methods: str = "classical") -> int:
+        """Renders of a run, without the warm-ups (a sample each)."""
+        calls.clear()
+        assert run(stage, "--methods", methods, "--out", out, "--numbersOnly", *SMALL, *flags) == 0
+        return sum(settings["samples"] > 1 for settings in calls)
+
+    assert rendered() == 2
+    assert rendered() == 0
+    # One more of each: seed, amount of work, method; two labels of the same are measured apart.
+    assert rendered("--seeds", "3") == 1
+    assert rendered("--samples", "2,3") == 2
+    assert rendered(methods="classical,poe") == 2
+    assert rendered(methods="classical,same=classical") == 2
+    # Another window, seed, setting of the method, number of threads.
+    assert rendered("--crops", "part=.2,.2,.8,.8") == 2
+    assert rendered("--seed", "7") == 2
+    assert rendered(methods="classical:maxDepth=3") == 2
+    assert rendered("--set", "threads=1") == 2
+    # A comment changes nothing, light does; what is broken is rendered again.
+    stage.write_text(stage.read_text().replace("def Cube", "# of wax\n    def Cube"))
+    assert rendered() == 0
+    stage.write_text(stage.read_text().replace("intensity = 10", "intensity = 11"))
+    assert rendered() == 2
+    for file in (out / "runs").iterdir():
+        file.write_bytes(file.read_bytes()[: file.stat().st_size - 200])
+    assert rendered() == 2
+    # So does another build of the renderer, of which nothing else is known.
+    monkeypatch.setattr(store, "renderer", lambda: ("0", "another"))
+    assert rendered() == 2
+
+
+def count_renders(monkeypatch: pytest.MonkeyPatch, stop_at: int = 0) -> list[dict]:
+    """Settings of the renders from now on, references not among them; the `stop_at`th is interrupted."""
+    calls: list[dict] = []
+    state = {"left": stop_at}
+
+    def counted(scene, settings, window, **more):
+        calls.append(settings)
+        state["left"] -= 1
+        if state["left"] == 0:
+            raise KeyboardInterrupt
+        return render.render(scene, settings, window, **more)
+
+    monkeypatch.setattr(runner, "render", counted)
+    return calls
 
 
 def test_renders_start_from_nothing_and_are_told_apart_by_seed(stage, tmp_path, capsys):
     named = "classical,same=classical,other=classical:seed=5"
-    assert run(stage, "--methods", named, "--out", tmp_path / "out", "--noPlots", *SMALL) == 0
+    assert run(stage, "--methods", named, "--out", tmp_path / "out", "--numbersOnly", *SMALL) == 0
     said = capsys.readouterr().out
     assert "same renders the images of classical, bit for bit" in said and "other renders" not in said
     found = results(tmp_path / "out")["renders"]
@@ -645,6 +888,6 @@ def test_rigs_are_described_for_the_stages_that_exist(shared_scenes):
         opened = Usd.Stage.Open(str(scene.stage))
         for path, value in scene.overrides.items():
             assert opened.GetAttributeAtPath(path).Get() != value
-        for region in scene.regions:
+        for crop in scene.crops:
             resolution = tuple(scene.settings["resolution"])
-            assert regions.window(region.ndc, resolution).size == (40, 40), (scene.name, region.name)
+            assert crops.window(crop.ndc, resolution).size == (40, 40), (scene.name, crop.name)

@@ -1,4 +1,4 @@
-"""The contact sheet: a column per method, a row per region, each picture above its error."""
+"""The contact sheet: a column per method, a row per crop, each picture above its error."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,24 +18,24 @@ class FigureError(Exception):
 
 
 def figure_rows(suite: Suite, names: Sequence[str] | None) -> list[str]:
-    """SCENE/REGION of the rows asked for, all without. Raises FigureError."""
+    """SCENE/CROP of the rows asked for, all without. Raises FigureError."""
     known = [
-        f"{scene.name}/{region}"
+        f"{scene.name}/{crop}"
         for scene in suite.scenes
-        for region in ([region.name for region in scene.regions] or ["frame"])
+        for crop in ([crop.name for crop in scene.crops] or ["frame"])
     ]
     for name in names or []:
         if name not in known:
-            raise FigureError(f"--figureRows {name}: the regions are {', '.join(known)}")
+            raise FigureError(f"--figureRows {name}: the crops are {', '.join(known)}")
     return list(names or known)
 
 
 def write_contact_sheet(
     cells: dict[CellKey, Cell], rows: Sequence[Row], suite: Suite, places: Sequence[str], file: Path
 ) -> None:
-    """Images of the first repeat through the display transform, above the mean error map, relMSE and ratios beneath.
+    """Images of the first seed through the display transform, above the mean error map, relMSE and ratios beneath.
 
-    Of the most work; one scale of false colour for each region.
+    Of the most work; one scale of false colour for each crop.
     """
     chosen = [row for row in rows if row.work == suite.works[-1] and place(row) in places]
     if not chosen:
@@ -63,11 +63,11 @@ def write_contact_sheet(
 
 
 def key_of(row: Row) -> CellKey:
-    return CellKey(row.scene, row.region, row.method, row.work)
+    return CellKey(row.scene, row.crop, row.method, row.work)
 
 
 def place(row: Row) -> str:
-    return f"{row.scene}/{row.region}"
+    return f"{row.scene}/{row.crop}"
 
 
 def empty_sheet(shapes: Mapping[str, tuple[int, int]], labels: Sequence[str]) -> tuple[Any, Any]:

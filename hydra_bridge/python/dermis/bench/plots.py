@@ -1,20 +1,21 @@
-"""Pictures of the numbers: error maps in false colour, error over time or samples."""
+"""Pictures of the numbers: error over time and samples, error maps in false colour."""
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..cli.output import replacing
 from .measures import Array
-from .results import Cell, CellKey, Row
-from .runner import file_name
+from .results import Row
 from .suite import Suite
 
 INSTALL = (
-    "the pictures are drawn by matplotlib, which is not installed: pip install matplotlib (the extra `bench` of dermis "
-    "has it), or go without them: --noPlots"
+    "the report needs matplotlib and flip-evaluator, of which {} is not installed: pip install matplotlib "
+    "flip-evaluator (the extra `bench` of dermis has them), or go without the report: --numbersOnly"
 )
 
 #: Decades of false colour below the brightest.
@@ -25,17 +26,21 @@ CLIPPED = 0.002
 
 COLORS = "inferno"
 
+#: Of methods in curves and tables, to be told apart by all eyes (Okabe and Ito 2008); then from the start again.
+METHOD_COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#555555")
+
 
 class PlotsError(Exception):
-    """matplotlib is missing; the text says how to install it."""
+    """A library is missing; the text says how to install it."""
 
 
-def require_matplotlib() -> None:
+def require_libraries() -> None:
     """Raises PlotsError; called before the first render."""
     try:
+        import flip_evaluator  # noqa: F401
         import matplotlib.figure  # noqa: F401
     except ImportError as error:
-        raise PlotsError(INSTALL) from error
+        raise PlotsError(INSTALL.format(error.name)) from error
 
 
 def new_figure(width: float, height: float) -> Any:
@@ -50,8 +55,21 @@ def save(figure: Any, file: Path, dpi: int = 120) -> None:
         figure.savefig(temporary, dpi=dpi)
 
 
+def svg(figure: Any) -> str:
+    """The figure as an element for a page: letters as shapes, nothing outside referred to."""
+    from matplotlib import rc_context
+
+    text = io.StringIO()
+    with rc_context({"svg.fonttype": "path"}):
+        figure.savefig(
+            text, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None}
+        )
+    drawn = text.getvalue()
+    return drawn[drawn.index("<svg") :]
+
+
 def color_scale(maps: Sequence[Array]) -> Any:
-    """One logarithmic scale for the maps of a region by all methods: to be compared, they must share it."""
+    """One logarithmic scale for the maps of a crop by all methods: to be compared, they must share it."""
     from matplotlib.colors import LogNorm
 
     values = np.concatenate([errors.ravel() for errors in maps])
@@ -60,70 +78,81 @@ def color_scale(maps: Sequence[Array]) -> Any:
     return LogNorm(top * 10.0**-DECADES, top, clip=True)
 
 
-def write_error_maps(cells: dict[CellKey, Cell], suite: Suite, folder: Path) -> None:
-    """A PNG per scene, region and method, of the most work, with the scale beside it."""
-    shown = {key: cell for key, cell in cells.items() if key.work == suite.works[-1]}
+def false_color(errors: Array, scale: Any) -> NDArray[np.uint8]:
+    """RGB of 8 bits. An error of 0 is as dark as the scale gets."""
+    from matplotlib import colormaps
+
+    return colormaps[COLORS](scale(np.maximum(errors, scale.vmin)), bytes=True)[..., :3]
+
+
+def color_stops(count: int = 13) -> list[str]:
+    """The false colours from dark to bright, as CSS writes them."""
+    from matplotlib import colormaps, colors
+
+    return [colors.to_hex(color) for color in colormaps[COLORS](np.linspace(0.0, 1.0, count))]
+
+
+def method_color(suite: Suite, label: str) -> str:
     labels = [method.label for method in suite.methods]
-    for key, cell in shown.items():
-        norm = color_scale([other.error_map for at, other in shown.items() if at[:2] == key[:2]])
-        height, width = cell.error_map.shape
-        figure = new_figure(4.8, max(1.5, 4.0 * height / width))
-        axes = figure.add_subplot()
-        drawn = axes.imshow(cell.error_map, norm=norm, cmap=COLORS, interpolation="nearest")
-        axes.set_axis_off()
-        axes.set_title(f"{key.scene} {key.region}\n{key.method}, {key.work.label}", fontsize=8)
-        figure.colorbar(drawn, ax=axes, label="relative squared error", extend="both")
-        save(figure, folder / file_name(key.scene, key.region, labels.index(key.method), key.method, ".png"))
+    return METHOD_COLORS[labels.index(label) % len(METHOD_COLORS)]
 
 
-def write_convergence(rows: Sequence[Row], suite: Suite, file: Path, quantity: str) -> None:
-    """relMSE over `cpu` seconds or `samples`, a panel per region, with the slope -1 of independent samples."""
-    panels = list(dict.fromkeys((row.scene, row.region) for row in rows))
-    if not panels:
-        return
-    columns = min(len(panels), 3)
-    lines = -(-len(panels) // columns)
-    figure = new_figure(4.2 * columns + 1.0, 3.2 * lines + 0.6)
-    axes = figure.subplots(lines, columns, squeeze=False)
-    for panel in axes.ravel()[len(panels) :]:
-        panel.set_axis_off()
-    for (scene, region), panel in zip(panels, axes.ravel(), strict=False):
-        here = [row for row in rows if (row.scene, row.region) == (scene, region)]
-        draw_panel(panel, here, suite, quantity)
-        panel.set_title(f"{scene} {region}", fontsize=9)
-    figure.supxlabel("CPU seconds" if quantity == "cpu" else "samples per pixel", fontsize=9)
-    figure.supylabel("relMSE", fontsize=9)
+def curves(rows: Sequence[Row], suite: Suite) -> Any:
+    """A figure with a line per crop: relMSE over CPU seconds, and over samples."""
+    places = list(dict.fromkeys((row.scene, row.crop) for row in rows))
+    figure = new_figure(9.0, 2.9 * len(places) + 0.5)
+    axes = figure.subplots(len(places), 2, squeeze=False, sharey="row")
+    for (scene, crop), line in zip(places, axes, strict=True):
+        here = [row for row in rows if (row.scene, row.crop) == (scene, crop)]
+        for panel, quantity, name in zip(
+            line, ("cpu", "samples"), ("CPU seconds", "samples per pixel"), strict=True
+        ):
+            draw_panel(panel, here, suite, quantity)
+            panel.set_xlabel(name, fontsize=8)
+        line[0].set_ylabel("relMSE", fontsize=8)
+        if len(places) > 1:
+            line[0].set_title(f"{scene}/{crop}", fontsize=9, loc="left")
     handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=min(len(labels), 4), fontsize=8)
-    save(figure, file)
+    figure.legend(
+        handles, labels, loc="outside upper center", ncols=min(len(labels), 4), fontsize=8, frameon=False
+    )
+    return figure
 
 
 def draw_panel(axes: Any, rows: Sequence[Row], suite: Suite, quantity: str) -> None:
     axes.set_xscale("log")
     axes.set_yscale("log")
-    for axis in (axes.xaxis, axes.yaxis):
-        label_ticks(axis)
+    label_ticks(axes.xaxis, 2.0 if quantity == "samples" else 10.0)
+    label_ticks(axes.yaxis, 10.0)
     axes.grid(True, which="major", linewidth=0.3)
-    for number, method in enumerate(suite.methods):
+    for method in suite.methods:
         points = [row for row in rows if row.method == method.label and row.relmse.mean > 0.0]
-        x = np.array([getattr(row, quantity).mean for row in points])
-        y = np.array([row.relmse.mean for row in points])
-        # A bar down to 0 has no place on a logarithmic axis.
-        bars = [min(row.relmse.error or 0.0, 0.9 * row.relmse.mean) for row in points]
-        color = f"C{number}"
-        axes.errorbar(
-            x, y, bars, fmt="o-", color=color, label=method.label, markersize=4, linewidth=1, capsize=2
-        )
-        if len(points):
-            span = np.geomspace(x.min() / 2.0, x.max() * 2.0, 2)
-            axes.plot(span, y[-1] * x[-1] / span, linestyle=":", color=color, linewidth=0.8)
+        if points:
+            draw_method(axes, points, quantity, method_color(suite, method.label))
 
 
-def label_ticks(axis: Any) -> None:
-    """1, 2, 5: readable over half a decade and over four."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+def draw_method(axes: Any, points: Sequence[Row], quantity: str, color: str) -> None:
+    """The mean, its 95 % band, and the slope -1 of independent samples through the last point."""
+    points = sorted(points, key=lambda row: getattr(row, quantity).mean)
+    x = np.array([getattr(row, quantity).mean for row in points])
+    y = np.array([row.relmse.mean for row in points])
+    axes.plot(x, y, "o-", color=color, label=points[0].method, markersize=3.5, linewidth=1.2)
+    bands = [row.relmse.band for row in points]
+    if None not in bands:
+        low, high = np.transpose(bands)
+        if len(points) > 1:
+            axes.fill_between(x, low, high, color=color, alpha=0.18, linewidth=0)
+        else:
+            axes.vlines(x, low, high, color=color, alpha=0.5, linewidth=3)
+    span = np.geomspace(x.min() / 1.5, x.max() * 1.5, 2)
+    axes.plot(span, y[-1] * x[-1] / span, linestyle=":", color=color, linewidth=0.8)
 
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+
+def label_ticks(axis: Any, base: float) -> None:
+    """1, 2, 5, readable over half a decade and over four; or powers of two."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    axis.set_major_locator(LogLocator(base=base, subs=(1.0, 2.0, 5.0) if base == 10.0 else (1.0,)))
+    axis.set_minor_locator(NullLocator())
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())
     axis.set_tick_params(labelsize=7)

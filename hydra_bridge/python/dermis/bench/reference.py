@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,15 +11,14 @@ import OpenImageIO as oiio
 from numpy.typing import NDArray
 
 from .._core import __version__
-from .methods import Method
-from .regions import Window
-from .render import render
+from ..cli.settings import Settings
+from .crops import Window
+from .measures import Array, Mask
+from .render import Watch, render
 from .scenes import Scene
 from .suite import Suite
 
-Array = NDArray[np.float64]
-
-#: Seeds of the halves, far from those of repeats: noise in common with a method would hide its error.
+#: Seeds of the halves, far from those of methods: noise in common with a method would hide its error.
 SEEDS = (0x7E5E_0001, 0x7E5E_0002)
 
 #: Where the noise of a reference is known from.
@@ -40,11 +39,14 @@ class Reference:
     files: tuple[Path, ...]
     #: Where the variance comes from.
     noise_from: str
+    #: Pixels that are measured; None: all.
+    mask: Mask = None
 
-    def crop(self, window: Window) -> tuple[Array, Array | None]:
-        """Image and variance of a window inside."""
+    def crop(self, window: Window) -> tuple[Array, Array | None, Mask]:
+        """Image, variance and mask of a window inside."""
         at = window.slices(self.window)
-        return self.image[at], None if self.variance is None else self.variance[at]
+        parts = (None if part is None else part[at] for part in (self.variance, self.mask))
+        return self.image[at], *parts
 
 
 def of_halves(first: Array, second: Array) -> tuple[Array, Array]:
@@ -53,31 +55,55 @@ def of_halves(first: Array, second: Array) -> tuple[Array, Array]:
 
 
 def reference_of(
-    scene: Scene, suite: Suite, window: Window, folder: Path, say: Callable[[str], None]
+    scene: Scene, suite: Suite, window: Window, folder: Path, watch: Callable[[int, bool], Watch]
 ) -> Reference:
-    """The reference over `window`: given, kept in `folder` from an earlier run, or rendered now.
+    """The reference over `window`: given, kept in `folder` from an earlier run, or rendered now. `watch` is told of
+    each half, and whether it was kept.
 
     Raises BadReference, CoreError.
     """
     if scene.spec.reference:
-        return given(scene, suite, window)
+        found = given(scene, suite, window)
+    else:
+        files = made(scene, suite, window, folder, watch)
+        halves = [read_color(file, scene, window) for file in files]
+        found = Reference(*of_halves(*halves), window, files, HALVES)
+    return replace(found, mask=lit_below(found, scene)) if suite.subsurface_only else found
+
+
+def made(
+    scene: Scene, suite: Suite, window: Window, folder: Path, watch: Callable[[int, bool], Watch]
+) -> tuple[Path, ...]:
+    """Files of both halves; those that are not there are rendered."""
     method, samples = suite.reference_method, (suite.reference_samples + 1) // 2
-    files = [kept_file(scene, method, samples, seed, window, folder) for seed in SEEDS]
-    for file, seed in zip(files, SEEDS, strict=True):
+    assert method is not None  # a scene without a reference has one
+    files = []
+    for half, seed in enumerate(SEEDS):
+        settings = {**method.settings, "samples": samples, "seed": seed, "aovs": ["subsurface"]}
+        file = kept_file(scene, settings, window, folder)
+        share = watch(half, file.exists())
         if not file.exists():
-            say(f"reference {scene.spec.name} {file.name}: {samples} spp of {method.label}")
-            settings = {**method.settings, "samples": samples, "seed": seed}
-            render(scene, settings, window, file)
-    halves = [read_color(file, scene, window) for file in files]
-    return Reference(*of_halves(*halves), window, tuple(files), HALVES)
+            render(scene, settings, window, file, share)
+        files.append(file)
+    return tuple(files)
 
 
-def kept_file(scene: Scene, method: Method, samples: int, seed: int, window: Window, folder: Path) -> Path:
+def kept_file(scene: Scene, settings: Settings, window: Window, folder: Path) -> Path:
     """Name of one half, by all that its pixels depend on but the source of the renderer, of which only the version
     is known."""
-    content = [__version__, scene.key, dict(sorted(method.settings.items())), samples, seed, list(window)]
-    key = hashlib.sha256(json.dumps(content).encode()).hexdigest()[:24]
-    return folder / f"{key}.exr"
+    content = json.dumps([__version__, scene.key, settings, list(window)], sort_keys=True)
+    return folder / f"{hashlib.sha256(content.encode()).hexdigest()[:24]}.exr"
+
+
+def lit_below(reference: Reference, scene: Scene) -> NDArray[np.bool_]:
+    """Pixels where light came out from below a surface, in either half."""
+    mask = np.zeros(reference.image.shape[:2], dtype=bool)
+    for file in reference.files:
+        light = read_channels(file, scene, reference.window, "subsurface.")
+        if light is None:
+            raise BadReference(f"{file}: it has no subsurface AOV, which --subsurfaceOnly goes by")
+        mask |= (light != 0.0).any(axis=-1)
+    return mask
 
 
 def given(scene: Scene, suite: Suite, window: Window) -> Reference:
@@ -131,7 +157,7 @@ def refuse_shared_seed(file: Path, suite: Suite) -> None:
     image = oiio.ImageBuf(str(file))
     seed = image.spec().get_int_attribute("dermis:seed", -1)
     for method in suite.methods:
-        for repeat in range(suite.repeats):
+        for repeat in range(suite.seeds):
             if method.seeded(suite.seed + repeat)["seed"] == seed:
                 raise BadReference(
                     f"{file}: it was rendered with seed {seed}, as is repeat {repeat} of {method.label}: "

@@ -1,49 +1,120 @@
-"""What a run leaves in its folder: results.json, table.md, pictures."""
+"""What a run leaves in its folder: results.json and results.csv, and with pictures report.html and curves.png."""
 
-import os
-import platform
+import csv
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict
 from datetime import datetime, timezone
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from .. import __version__
 from ..cli import output
-from . import figure, measures, plots, reference, table
-from .results import Row, means_of, reference_noise, rows_of, same_images, warnings_of
+from ..color import DisplayTransform
+from . import figure, measures, page, plots, reference, table
+from .machine import machine
+from .results import Row, means_of, reference_noise, rows_of, same_images, slopes_of, warnings_of
 from .runner import Run
 from .scenes import Scene
 from .suite import Suite
 
-LIBRARIES = ("numpy", "usd-core", "openimageio", "opencolorio", "matplotlib")
 
-
-def write(run: Run, suite: Suite, scenes: Sequence[Scene], out: Path, pictures: bool) -> str:
-    """Writes everything but the contact sheet; returns the text of table.md."""
+def write(
+    run: Run, suite: Suite, scenes: Sequence[Scene], out: Path, transform: DisplayTransform | None
+) -> str:
+    """Writes everything but the contact sheet, page and curves only with a `transform`; returns the tables."""
     rows = rows_of(run.cells, suite)
-    output.write_json(out / "results.json", results(run, rows, suite, scenes))
-    text = table.report(rows, suite, notes(run, rows, suite))
-    with output.replacing(out / "table.md") as temporary:
+    found = results(run, rows, suite, scenes)
+    output.write_json(out / "results.json", found)
+    write_csv(found["renders"], out / "results.csv")
+    warnings, notes = warnings_in(run, rows, suite), notes_in(run, suite)
+    legend = legend_of(rows, suite, run, transform)
+    if transform and rows:
+        facts = page.Facts(
+            heading(run, suite, scenes), warnings, notes, legend, machine_line(found["machine"])
+        )
+        write_page(run, rows, suite, transform, facts, out)
+    return table.summary(rows, slopes_of(run.cells, suite), suite, [*legend, *notes, *warnings])
+
+
+def write_page(
+    run: Run, rows: list[Row], suite: Suite, transform: DisplayTransform, facts: page.Facts, out: Path
+) -> None:
+    text = page.page(run.cells, rows, slopes_of(run.cells, suite), suite, transform, facts)
+    with output.replacing(out / "report.html") as temporary:
         temporary.write_text(text, encoding="utf-8")
-    if pictures:
-        write_plots(run, rows, suite, out)
-    return text
-
-
-def write_plots(run: Run, rows: list[Row], suite: Suite, out: Path) -> None:
-    plots.write_error_maps(run.cells, suite, out / "errors")
-    plots.write_convergence(rows, suite, out / "relmse_over_time.png", "cpu")
-    plots.write_convergence(rows, suite, out / "relmse_over_samples.png", "samples")
+    plots.save(plots.curves(rows, suite), out / "curves.png")
 
 
 def write_figure(run: Run, suite: Suite, places: Sequence[str], file: Path) -> None:
     figure.write_contact_sheet(run.cells, rows_of(run.cells, suite), suite, places, file)
 
 
-def notes(run: Run, rows: Sequence[Row], suite: Suite) -> list[str]:
+def write_csv(renders: Sequence[dict[str, Any]], file: Path) -> None:
+    """A line per render, with the names of results.json."""
+    lines = [
+        {**render, "work": render["work"]["kind"], "amount": render["work"]["amount"]} for render in renders
+    ]
+    names = list(dict.fromkeys(name for line in lines for name in line))
+    with output.replacing(file) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, names)
+        writer.writeheader()
+        writer.writerows(lines)
+
+
+def heading(run: Run, suite: Suite, scenes: Sequence[Scene]) -> str:
+    stages = ", ".join(f"{scene.spec.name} ({scene.spec.stage})" for scene in scenes)
+    return f"{stages}: {table.heading(suite)}; {run.renders} renders"
+
+
+def machine_line(facts: dict[str, Any]) -> str:
+    when = datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
+    return (
+        f"dermis {facts['dermis']}, {facts['processor']}, {facts['cores']} cores, {facts['system']}; {when}"
+    )
+
+
+def legend_of(rows: Sequence[Row], suite: Suite, run: Run, transform: DisplayTransform | None) -> list[str]:
+    """How the numbers are to be read."""
+    threshold = measures.bias_threshold(3 * len(rows))
+    measured = (
+        "Measured pixels: those with subsurface light in the reference (its subsurface AOV is not zero)."
+        if suite.subsurface_only
+        else "Measured pixels: all of the crop."
+    )
+    return [
+        measures.DEFINITION + ".",
+        measured,
+        "± is the standard error over seeds; ratios compare what was measured side by side, paired by seed.",
+        "bias z: mean of I - R over its standard error, all seeds, in the channel where it is largest. Unbiased "
+        f"methods exceed {threshold:.1f} (marked !) anywhere in this table once in 100 runs; what is biased has no "
+        "efficiency. A reference that is off marks all methods.",
+        "slope: of log relMSE over log samples; -1 where the error is that of independent samples.",
+        flip_line(transform),
+        "cpu s: of the process, user and system, training included; training: its share of the render's time; "
+        "samples/s: of all pixels, per CPU second; peak MB: largest resident set of the process during the render, "
+        "Python included ('-' where the system is not Linux, which can tell).",
+        reference_line(suite, run),
+    ]
+
+
+def flip_line(transform: DisplayTransform | None) -> str:
+    if transform is None:
+        return "FLIP: not measured (--numbersOnly)."
+    shown = f"OpenColorIO {transform.config_name}, display {transform.display}, view {transform.view}"
+    return (
+        "FLIP: mean LDR-FLIP (Andersson et al. 2020; 67 pixels per degree), of the pictures as this report shows "
+        f"them, after --exposure: {shown}. The reference's noise is not taken from it."
+    )
+
+
+def reference_line(suite: Suite, run: Run) -> str:
+    sources = ", ".join(dict.fromkeys(used.noise_from for used in run.references.values()))
+    made = suite.reference_method
+    how = f"; made by {made.label}, {suite.reference_samples} samples in two halves" if made else ""
+    return f"own relMSE: of the reference, estimated by: {sources or 'nothing'}{how}; it is subtracted from the errors."
+
+
+def warnings_in(run: Run, rows: Sequence[Row], suite: Suite) -> list[str]:
     """What is to be known before the numbers are believed, and what went wrong."""
     messages = [*same_images(run.cells, suite), *warnings_of(reference_noise(list(rows)))]
     sources = {place: used.noise_from for place, used in run.references.items()}
@@ -64,6 +135,14 @@ def notes(run: Run, rows: Sequence[Row], suite: Suite) -> list[str]:
     return [*found, *(["interrupted: not all that was asked for is here"] if run.interrupted else [])]
 
 
+def notes_in(run: Run, suite: Suite) -> list[str]:
+    found = [f"Note: {suite.reference_note}"] if suite.reference_note else []
+    if 0 < run.kept < run.renders:
+        kept = f"{run.kept} of {run.renders} renders are of an earlier run"
+        found.append(f"Note: {kept}: their times were not taken in the hour of the others")
+    return found
+
+
 def results(run: Run, rows: Sequence[Row], suite: Suite, scenes: Sequence[Scene]) -> dict[str, Any]:
     """All of it, for programs."""
     return {
@@ -73,17 +152,22 @@ def results(run: Run, rows: Sequence[Row], suite: Suite, scenes: Sequence[Scene]
         "machine": machine(),
         "suite": {
             "works": [asdict(work) for work in suite.works],
-            "repeats": suite.repeats,
+            "seeds": suite.seeds,
             "seed": suite.seed,
-            "crops": suite.crops,
+            "whole_frames": suite.whole_frames,
+            "subsurface_only": suite.subsurface_only,
             "baseline": suite.baseline,
             "reference_samples": suite.reference_samples,
-            "reference_method": asdict(suite.reference_method),
+            "reference_method": asdict(suite.reference_method) if suite.reference_method else None,
             "methods": [asdict(method) for method in suite.methods],
         },
         "scenes": [scene_entry(scene, run, suite) for scene in scenes],
         "rows": [row_entry(row) for row in rows],
         "reference_noise": [asdict(noise) for noise in reference_noise(list(rows))],
+        "slopes": [
+            {"scene": scene, "crop": crop, "method": method, "slope": found and asdict(found)}
+            for (scene, crop, method), found in slopes_of(run.cells, suite).items()
+        ],
         "means": [asdict(mean) for mean in means_of(list(rows), suite)],
         "renders": [
             {**key._asdict(), "work": asdict(key.work), **render}
@@ -92,14 +176,12 @@ def results(run: Run, rows: Sequence[Row], suite: Suite, scenes: Sequence[Scene]
         ],
         "failures": run.failures,
         "interrupted": run.interrupted,
+        "kept": run.kept,
     }
 
 
 def row_entry(row: Row) -> dict[str, Any]:
-    efficiency = (
-        1.0 / (row.relmse.mean * row.cpu.mean) if row.relmse.mean > 0.0 and row.cpu.mean > 0.0 else None
-    )
-    return {**asdict(row), "efficiency": efficiency}
+    return {**asdict(row), "relmse_band": row.relmse.band, "efficiency": row.efficiency}
 
 
 def scene_entry(scene: Scene, run: Run, suite: Suite) -> dict[str, Any]:
@@ -117,51 +199,20 @@ def scene_entry(scene: Scene, run: Run, suite: Suite) -> dict[str, Any]:
             method.label: run.settings.get((spec.name, method.label)) for method in suite.methods
         },
         "warnings": [{"prim": prim, "message": message} for prim, message in scene.warnings],
-        "regions": [
+        "crops": [
             {
-                "name": region.name,
-                "ndc": region.ndc,
-                "pixels": scene.window(region),
-                **of_reference(run, scene, region.name),
+                "name": crop.name,
+                "ndc": crop.ndc,
+                "pixels": scene.window(crop),
+                **of_reference(run, scene, crop.name),
             }
-            for region in scene.regions
+            for crop in scene.crops
         ],
     }
 
 
-def of_reference(run: Run, scene: Scene, region: str) -> dict[str, Any]:
-    found = run.references.get((scene.spec.name, region))
+def of_reference(run: Run, scene: Scene, crop: str) -> dict[str, Any]:
+    found = run.references.get((scene.spec.name, crop))
     if found is None:
         return {}
     return {"reference": [str(file) for file in found.files], "noise_from": found.noise_from}
-
-
-def machine() -> dict[str, Any]:
-    return {
-        "processor": processor(),
-        "cores": os.cpu_count(),
-        "load": os.getloadavg() if hasattr(os, "getloadavg") else None,
-        "system": platform.platform(),
-        "python": platform.python_version(),
-        "dermis": __version__,
-        **{name: version(name) for name in LIBRARIES},
-    }
-
-
-def processor() -> str:
-    """The model, where the system tells."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return platform.processor()
-    return next(
-        (line.partition(":")[2].strip() for line in lines if line.startswith("model name")),
-        platform.machine(),
-    )
-
-
-def version(name: str) -> str | None:
-    try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return None

@@ -1,21 +1,28 @@
-"""From measurements to the numbers of the report: means over repeats, ratios to the baseline, means over regions."""
+"""From measurements to the numbers of the report: means over seeds, ratios to the baseline, means over crops."""
 
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ..color import DisplayTransform
 from .measures import (
     Array,
     Errors,
+    Mask,
     Number,
     bias,
     efficiency_ratio,
     error_map,
+    flip,
     geometric_mean,
     measure,
+    noise_map,
     number,
+    picked,
+    slope,
 )
 from .render import Render
 from .suite import Suite, Work
@@ -30,17 +37,27 @@ NOISE_LIMIT = 0.05
 
 class CellKey(NamedTuple):
     scene: str
-    region: str
+    crop: str
     method: str
     work: Work
 
 
 class Cell:
-    """All repeats of one method at one region and amount of work."""
+    """All repeats of one method at one crop and amount of work. FLIP is of what `transform` shows after `stops`."""
 
-    def __init__(self, reference: Array, variance: Array | None) -> None:
+    def __init__(
+        self,
+        reference: Array,
+        variance: Array | None,
+        mask: Mask = None,
+        transform: DisplayTransform | None = None,
+        stops: float = 0.0,
+    ) -> None:
         self.reference = reference
         self.variance = variance
+        self.mask = mask
+        self._transform = transform
+        self._stops = stops
         self.errors: list[Errors] = []
         self.renders: list[dict[str, Any]] = []
         #: Of the first repeat.
@@ -49,28 +66,40 @@ class Cell:
         self._maps = np.zeros(reference.shape[:2])
 
     def add(self, image: Array, rendered: Render, repeat: int, seed: int) -> None:
-        errors = measure(image, self.reference, self.variance)
+        errors = measure(image, self.reference, self.variance, self.mask)
         if not self.errors:
             self.image = image
         self.errors.append(errors)
         self._images += image
-        self._maps += error_map(image, self.reference)
-        stats = rendered.stats
-        self.renders.append(
-            {
-                **{
-                    "repeat": repeat,
-                    "seed": seed,
-                    **asdict(errors),
-                    "cpu": rendered.cpu,
-                    "wall": rendered.wall,
-                },
-                **{
-                    name: stats[name] for name in ("samples_per_pixel", "walks", "walk_steps", "walks_leaked")
-                },
-                **{"non_finite_samples": stats["non_finite_samples"], "train": stats["seconds"]["train"]},
-            }
+        self._maps += error_map(image, self.reference, self.mask)
+        bias_z = max(self.bias_of(image), key=abs)
+        measured = {
+            "repeat": repeat,
+            "seed": seed,
+            "relmse": errors.relmse,
+            "trimmed_relmse": errors.relmse_trimmed,
+        }
+        measured |= {"mse": errors.mse, "flip": self.flip_of(image), "bias_z": bias_z, **asdict(errors)}
+        self.renders.append({**measured, **cost_of(rendered)})
+
+    def bias_of(self, image: Array) -> list[float]:
+        return bias(picked(image, self.mask), picked(self.reference, self.mask))
+
+    def flip_of(self, image: Array) -> float | None:
+        if self._transform is None:
+            return None
+        return flip(
+            self.shown(image, self._transform), self.shown(self.reference, self._transform), self.mask
         )
+
+    def shown(self, image: Array, transform: DisplayTransform) -> NDArray[np.float32]:
+        """Display values in [0, 1]."""
+        return transform.apply(image * 2.0**self._stops)
+
+    @property
+    def own_map(self) -> Array | None:
+        """Relative squared error of the reference itself, per pixel, as one difference of two halves tells it."""
+        return None if self.variance is None else noise_map(self.variance, self.reference, self.mask)
 
     @property
     def mean_image(self) -> Array:
@@ -78,7 +107,7 @@ class Cell:
 
     @property
     def error_map(self) -> Array:
-        """Relative squared error per pixel, mean over the repeats."""
+        """Relative squared error per pixel, mean over the seeds."""
         return self._maps / len(self.errors)
 
     def values(self, name: str) -> list[float]:
@@ -88,25 +117,56 @@ class Cell:
     def mean(self, name: str) -> Number:
         return number(self.values(name))
 
+    def known(self, name: str) -> Number | None:
+        """The mean of a number that not every run has."""
+        return None if any(render[name] is None for render in self.renders) else self.mean(name)
+
+
+#: Slope of log relMSE over log samples by (scene, crop, method); None where there is none.
+CropSlopes = dict[tuple[str, str, str], Number | None]
+
+
+def cost_of(rendered: Render) -> dict[str, Any]:
+    """Numbers of one render that are not errors; seconds, and bytes of `peak`."""
+    stats = rendered.stats
+    height, width, _ = rendered.image.shape
+    samples = stats["samples_per_pixel"] * height * width
+    return {
+        **{"cpu": rendered.cpu, "wall": rendered.wall, "peak": rendered.peak},
+        **{name: stats[name] for name in ("samples_per_pixel", "walks", "walk_steps", "walks_leaked")},
+        "non_finite_samples": stats["non_finite_samples"],
+        "train": stats["seconds"]["train"],
+        "training_share": stats["guide"]["training_share"],
+        "samples_per_second": samples / rendered.cpu if rendered.cpu > 0.0 else None,
+    }
+
 
 @dataclass(frozen=True)
 class Row:
     """One line of the table."""
 
     scene: str
-    region: str
+    crop: str
     method: str
     work: Work
-    repeats: int
+    seeds: int
     #: Corrected for the reference's noise.
     relmse: Number
     trimmed: Number
-    #: The reference's own share, already subtracted.
+    mse: Number
+    #: The reference's own part of relMSE, already subtracted.
     noise: float
+    #: None where it was not measured.
+    flip: Number | None
     cpu: Number
     wall: Number
     samples: Number
-    train: Number
+    #: Of the render's time.
+    training_share: Number
+    #: Of all pixels, per CPU second.
+    samples_per_second: Number | None
+    #: Bytes: largest peak of any repeat, see `Render.peak`.
+    peak: int | None
     #: Segments per subsurface walk; None without walks.
     steps: float | None
     #: z per channel.
@@ -119,20 +179,23 @@ class Row:
     def largest_bias(self) -> float:
         return max(self.bias, key=abs)
 
+    @property
+    def efficiency(self) -> float | None:
+        positive = self.relmse.mean > 0.0 and self.cpu.mean > 0.0
+        return 1.0 / (self.relmse.mean * self.cpu.mean) if positive else None
+
 
 def rows_of(cells: dict[CellKey, Cell], suite: Suite) -> list[Row]:
-    """Rows in the order of the suite: scene, region, work, method."""
+    """Rows in the order of the suite: scene, crop, work, method."""
     rows = [compared(key, cells, suite.baseline) for key in cells]
     methods = [method.label for method in suite.methods]
     scenes = {scene.name: number for number, scene in enumerate(suite.scenes)}
-    regions = {
-        (scene.name, region.name): number
-        for scene in suite.scenes
-        for number, region in enumerate(scene.regions)
+    crops = {
+        (scene.name, crop.name): number for scene in suite.scenes for number, crop in enumerate(scene.crops)
     }
 
     def order(row: Row) -> tuple[float, ...]:
-        place = regions.get((row.scene, row.region), 0)
+        place = crops.get((row.scene, row.crop), 0)
         return scenes[row.scene], place, row.work.amount, methods.index(row.method)
 
     return sorted(rows, key=order)
@@ -149,8 +212,8 @@ def compared(key: CellKey, cells: dict[CellKey, Cell], baseline: str) -> Row:
     plain, trimmed = (
         efficiency_ratio(mine, times[0], theirs, times[1])
         for mine, theirs in (
-            ([e.corrected for e in cell.errors], [e.corrected for e in base.errors]),
-            ([e.corrected_trimmed for e in cell.errors], [e.corrected_trimmed for e in base.errors]),
+            ([e.relmse for e in cell.errors], [e.relmse for e in base.errors]),
+            ([e.relmse_trimmed for e in cell.errors], [e.relmse_trimmed for e in base.errors]),
         )
     )
     return replace(row, ratio=plain, ratio_trimmed=trimmed)
@@ -160,22 +223,26 @@ def row_of(key: CellKey, cell: Cell) -> Row:
     walks = sum(render["walks"] for render in cell.renders)
     return Row(
         *key,
-        repeats=len(cell.errors),
-        relmse=number([errors.corrected for errors in cell.errors]),
-        trimmed=number([errors.corrected_trimmed for errors in cell.errors]),
+        seeds=len(cell.errors),
+        relmse=number([errors.relmse for errors in cell.errors]),
+        trimmed=number([errors.relmse_trimmed for errors in cell.errors]),
+        mse=number([errors.mse for errors in cell.errors]),
         noise=float(np.mean([errors.noise for errors in cell.errors])),
+        flip=cell.known("flip"),
         cpu=cell.mean("cpu"),
         wall=cell.mean("wall"),
         samples=cell.mean("samples_per_pixel"),
-        train=cell.mean("train"),
+        training_share=cell.mean("training_share"),
+        samples_per_second=cell.known("samples_per_second"),
+        peak=max((r["peak"] for r in cell.renders if r["peak"]), default=None),
         steps=sum(render["walk_steps"] for render in cell.renders) / walks if walks else None,
-        bias=bias(cell.mean_image, cell.reference),
+        bias=cell.bias_of(cell.mean_image),
     )
 
 
 @dataclass(frozen=True)
 class Mean:
-    """Geometric means of a method's ratios over regions."""
+    """Geometric means of a method's ratios over crops."""
 
     #: Empty: over all scenes.
     scene: str
@@ -183,9 +250,26 @@ class Mean:
     work: Work
     ratio: Number | None
     ratio_trimmed: Number | None
-    #: Regions that have a ratio, and all.
-    regions: int
+    #: Crops that have a ratio, and all.
+    crops: int
     of: int
+
+
+def slopes_of(cells: dict[CellKey, Cell], suite: Suite) -> CropSlopes:
+    """From seeds that have every amount of work."""
+    found: CropSlopes = {}
+    for scene, crop, method in dict.fromkeys(key[:3] for key in cells):
+        line = [cells.get(CellKey(scene, crop, method, work)) for work in suite.works]
+        by_seed: dict[int, list[dict[str, Any]]] = {}
+        for cell in line:
+            for render in cell.renders if cell else ():
+                by_seed.setdefault(render["repeat"], []).append(render)
+        whole = [renders for renders in by_seed.values() if len(renders) == len(suite.works)]
+        found[scene, crop, method] = slope(
+            [[render["samples_per_pixel"] for render in renders] for renders in whole],
+            [[render["relmse"] for render in renders] for renders in whole],
+        )
+    return found
 
 
 def means_of(rows: list[Row], suite: Suite) -> list[Mean]:
@@ -223,10 +307,10 @@ def mean_of(scene: str, method: str, work: Work, rows: list[Row]) -> Mean:
 
 @dataclass(frozen=True)
 class ReferenceNoise:
-    """What a reference brings into the errors of one region."""
+    """What a reference brings into the errors of one crop."""
 
     scene: str
-    region: str
+    crop: str
     #: Its own relMSE.
     noise: float
     #: Of the smallest error that was measured there.
@@ -234,10 +318,10 @@ class ReferenceNoise:
 
 
 def reference_noise(rows: list[Row]) -> list[ReferenceNoise]:
-    """Per region, in the order of the rows."""
+    """Per crop, in the order of the rows."""
     found = []
-    for place in dict.fromkeys((row.scene, row.region) for row in rows):
-        here = [row for row in rows if (row.scene, row.region) == place]
+    for place in dict.fromkeys((row.scene, row.crop) for row in rows):
+        here = [row for row in rows if (row.scene, row.crop) == place]
         smallest = min(row.relmse.mean + row.noise for row in here)
         noise = here[0].noise
         found.append(ReferenceNoise(*place, noise, noise / smallest if smallest > 0.0 else 0.0))
@@ -246,8 +330,8 @@ def reference_noise(rows: list[Row]) -> list[ReferenceNoise]:
 
 def warnings_of(noises: list[ReferenceNoise]) -> list[str]:
     """What is to be said about references that are too noisy."""
-    large = [f"{n.scene}/{n.region} {n.share:.0%}" for n in noises if n.share > NOISE_SHARE]
-    loose = [f"{n.scene}/{n.region} {n.noise:.2g}" for n in noises if n.noise > NOISE_LIMIT]
+    large = [f"{n.scene}/{n.crop} {n.share:.0%}" for n in noises if n.share > NOISE_SHARE]
+    loose = [f"{n.scene}/{n.crop} {n.noise:.2g}" for n in noises if n.noise > NOISE_LIMIT]
     messages = []
     if large:
         share = f"more than {NOISE_SHARE:.0%} of the smallest error measured"

@@ -1,31 +1,34 @@
-"""The measuring: every method at every region and amount of work, in mixed order, several times."""
+"""The measuring: every method at every crop and amount of work, in mixed order, several times."""
 
 import itertools
 import random
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from .._core import CoreError
 from ..cli import warnings
+from ..color import DisplayTransform
+from .crops import Crop, Window
 from .measures import MeasureError, weights
 from .methods import Method
 from .reference import Reference, reference_of
-from .regions import Region, Window
-from .render import Render, render
+from .render import Render, Watch, render
 from .results import Cell, CellKey
 from .scenes import Scene
+from .steps import Steps
+from .store import Store
 from .suite import Suite, Work
 
 
 @dataclass(frozen=True)
 class Target:
-    """What is rendered at once: the window of one region, or the frame with its regions in it."""
+    """What is rendered at once: the window of one crop, or the frame with its crops in it."""
 
     name: str
     window: Window
-    regions: tuple[Region, ...]
+    crops: tuple[Crop, ...]
 
 
 @dataclass(frozen=True)
@@ -46,24 +49,37 @@ class Run:
     settings: dict[tuple[str, str], dict[str, Any]] = field(default_factory=dict)
     failures: list[str] = field(default_factory=list)
     interrupted: bool = False
+    #: Renders, and those of them that an earlier run had left.
+    renders: int = 0
+    kept: int = 0
 
 
 class Runner:
+    """Measures `suite`; FLIP compares what `transform` shows, without it there is none."""
+
     def __init__(
-        self, suite: Suite, out: Path, say: Callable[[str], None], printer: warnings.Printer
+        self,
+        suite: Suite,
+        out: Path,
+        quiet: bool,
+        printer: warnings.Printer,
+        transform: DisplayTransform | None,
     ) -> None:
         self.suite = suite
         self.out = out
-        self.say = say
+        self.quiet = quiet
         self.printer = printer
+        self.transform = transform
+        self.store = Store(out / "runs")
         self.result = Run()
 
     def run(self, scenes: list[Scene]) -> Run:
         """Measures scene by scene; an interrupt ends it and keeps what is complete. Raises BadReference."""
         try:
-            targets = {scene.spec.name: self.prepare(scene) for scene in scenes}
-            for scene in scenes:
-                self.measure_scene(scene, targets[scene.spec.name])
+            with Steps(sum(steps_of(scene, self.suite) for scene in scenes), self.quiet) as self.steps:
+                targets = {scene.spec.name: self.prepare(scene) for scene in scenes}
+                for scene in scenes:
+                    self.measure_scene(scene, targets[scene.spec.name])
         except KeyboardInterrupt:
             self.result.interrupted = True
         return self.result
@@ -71,93 +87,91 @@ class Runner:
     def prepare(self, scene: Scene) -> list[Target]:
         """Targets with their references, before hours go into what then cannot be compared."""
         targets = []
-        for target in targets_of(scene, self.suite.crops):
+        for target in targets_of(scene, self.suite.whole_frames):
+
+            def watch(half: int, kept: bool, place: str = f"{scene.spec.name} {target.name}") -> Watch:
+                return self.steps.next(f"{place}: reference, half {half + 1} of 2", kept)
+
             try:
-                reference = reference_of(scene, self.suite, target.window, self.out / "reference", self.say)
-                for region in target.regions:
-                    weights(reference.crop(scene.window(region))[0])
+                reference = reference_of(scene, self.suite, target.window, self.out / "reference", watch)
+                for crop in target.crops:
+                    image, _, mask = reference.crop(scene.window(crop))
+                    weights(image, mask)
             except (CoreError, MeasureError) as error:
                 self.fail(f"{scene.spec.name} {target.name}: reference: {error}")
                 continue
             targets.append(target)
-            self.result.references.update({(scene.spec.name, r.name): reference for r in target.regions})
+            self.result.references.update({(scene.spec.name, r.name): reference for r in target.crops})
         return targets
 
     def measure_scene(self, scene: Scene, targets: list[Target]) -> None:
-        if not targets:
-            return
-        self.warm_up(scene, targets)
-        jobs = list(jobs_of(scene, targets, self.suite))
-        for number, job in enumerate(jobs, 1):
+        warm: set[str] = set()
+        for job in jobs_of(scene, targets, self.suite):
             place = f"{scene.spec.name} {job.target.name}: {job.method.label}, {job.work.label}"
-            self.say(f"[{number}/{len(jobs)}] {place}, repeat {job.repeat + 1} of {self.suite.repeats}")
             try:
-                self.measure(scene, job)
+                self.measure(scene, job, place, warm)
             except (CoreError, MeasureError) as error:
                 self.fail(f"{place}: {error}")
 
-    def warm_up(self, scene: Scene, targets: list[Target]) -> None:
-        """One sample by each method, not measured: the first render of a process fills tables and caches for all."""
-        for method in self.suite.methods:
-            self.say(f"{scene.spec.name}: warming up {method.label}")
-            try:
-                rendered = render(scene, {**method.settings, "samples": 1}, targets[0].window)
-            except CoreError as error:
-                self.fail(f"{scene.spec.name}: {method.label}: {error}")
-                continue
-            self.result.settings[scene.spec.name, method.label] = rendered.stats["settings"]
-
-    def measure(self, scene: Scene, job: Job) -> None:
+    def measure(self, scene: Scene, job: Job, place: str, warm: set[str]) -> None:
+        """Of `warm` methods the first render is behind; the others get one."""
         settings = {**job.method.seeded(self.suite.seed + job.repeat), **job.work.settings}
-        last = job.work == self.suite.works[-1] and job.repeat == 0
-        file = self.image_file(scene, job) if last else None
-        rendered = render(scene, settings, job.target.window, file)
+        file = self.store.file(scene, job.target.name, job.method.label, settings, job.target.window)
+        rendered = self.store.load(file)
+        self.result.kept += rendered is not None
+        watch = self.steps.next(f"{place}, seed {job.repeat + 1} of {self.suite.seeds}", rendered is not None)
+        if rendered is None:
+            if job.method.label not in warm:
+                self.warm_up(scene, job)
+                warm.add(job.method.label)
+            rendered = render(scene, settings, job.target.window, watch=watch)
+            self.store.keep(file, rendered)
+        self.result.renders += 1
+        self.result.settings[scene.spec.name, job.method.label] = rendered.stats["settings"]
         self.printer.print(
             warnings.merge(warnings.of_stats(rendered.stats), warnings.walk_check(rendered.stats))
         )
-        for region in job.target.regions:
-            self.add(scene, job, region, rendered, settings["seed"])
+        for crop in job.target.crops:
+            self.add(scene, job, crop, rendered, settings["seed"])
 
-    def add(self, scene: Scene, job: Job, region: Region, rendered: Render, seed: int) -> None:
-        reference = self.result.references[scene.spec.name, region.name]
-        window = scene.window(region)
+    def warm_up(self, scene: Scene, job: Job) -> None:
+        """One sample by the method, not measured: the first render of a process fills tables and caches for all."""
+        render(scene, {**job.method.settings, "samples": 1}, job.target.window)
+
+    def add(self, scene: Scene, job: Job, crop: Crop, rendered: Render, seed: int) -> None:
+        reference = self.result.references[scene.spec.name, crop.name]
+        window = scene.window(crop)
         image = rendered.image[window.slices(job.target.window)]
-        key = CellKey(scene.spec.name, region.name, job.method.label, job.work)
-        cell = self.result.cells.get(key) or Cell(*reference.crop(window))
+        key = CellKey(scene.spec.name, crop.name, job.method.label, job.work)
+        cell = self.result.cells.get(key) or Cell(
+            *reference.crop(window), self.transform, scene.spec.exposure
+        )
         cell.add(image, rendered, job.repeat, seed)
         self.result.cells[key] = cell
-
-    def image_file(self, scene: Scene, job: Job) -> Path:
-        number = self.suite.methods.index(job.method)
-        return (
-            self.out
-            / "images"
-            / file_name(scene.spec.name, job.target.name, number, job.method.label, ".exr")
-        )
 
     def fail(self, message: str) -> None:
         if message not in self.result.failures:
             self.result.failures.append(message)
-            self.say(f"failed: {message}")
 
 
-def targets_of(scene: Scene, crops: bool) -> Iterator[Target]:
-    if not crops:
-        yield Target("frame", scene.frame, scene.regions)
+def targets_of(scene: Scene, whole_frames: bool) -> Iterator[Target]:
+    if whole_frames:
+        yield Target("frame", scene.frame, scene.crops)
         return
-    for region in scene.regions:
-        yield Target(region.name, scene.window(region), (region,))
+    for crop in scene.crops:
+        yield Target(crop.name, scene.window(crop), (crop,))
+
+
+def steps_of(scene: Scene, suite: Suite) -> int:
+    """Renders that the scene takes, halves of references included."""
+    halves = 0 if scene.spec.reference else 2
+    each = halves + len(suite.methods) * len(suite.works) * suite.seeds
+    return each * len(list(targets_of(scene, suite.whole_frames)))
 
 
 def jobs_of(scene: Scene, targets: list[Target], suite: Suite) -> Iterator[Job]:
     """Repeat after repeat; within one in random order, so that a busy machine hits all methods alike."""
-    for repeat in range(suite.repeats):
+    for repeat in range(suite.seeds):
         jobs = [Job(repeat, *rest) for rest in itertools.product(targets, suite.methods, suite.works)]
         random.Random(f"{suite.seed} {scene.spec.name} {repeat}").shuffle(jobs)
         yield from jobs
-
-
-def file_name(scene: str, region: str, number: int, method: str, ending: str) -> str:
-    """`scene.region.number_method`; the number tells labels apart that are the same once made safe."""
-    safe = ["".join(c if c.isalnum() or c in "-=" else "_" for c in text) for text in (scene, region, method)]
-    return f"{safe[0]}.{safe[1]}.{number}_{safe[2]}{ending}"

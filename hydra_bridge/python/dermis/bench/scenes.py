@@ -13,7 +13,7 @@ from pxr import Sdf, Tf, Usd
 from .. import stage as stages
 from ..cli.scene import FRAME_ERRORS, SceneError, open_scene
 from ..cli.settings import Settings, SettingsError, format_value
-from .regions import FRAME, Region, Window, window
+from .crops import FRAME, Crop, Window, window
 from .suite import SceneSpec
 
 #: What each render decides for itself. In the flattened file it is the same for all, so that a reference, which is
@@ -38,15 +38,15 @@ class Scene:
     warnings: list[tuple[str, str]]
 
     @property
-    def regions(self) -> tuple[Region, ...]:
-        return self.spec.regions or (FRAME,)
+    def crops(self) -> tuple[Crop, ...]:
+        return self.spec.crops or (FRAME,)
 
     @property
     def frame(self) -> Window:
         return Window(0, 0, *self.resolution)
 
-    def window(self, region: Region) -> Window:
-        return window(region.ndc, self.resolution)
+    def window(self, crop: Crop) -> Window:
+        return window(crop.ndc, self.resolution)
 
 
 def open_bench_scene(

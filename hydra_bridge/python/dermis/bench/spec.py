@@ -2,13 +2,13 @@
 
 import argparse
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from ..cli.settings import Settings, SettingsError, format_value, parse_assignment
+from .crops import Crop, CropError, make_crop, parse_crop
 from .methods import SHARED, Method, MethodError, check, parse_methods
-from .regions import Region, RegionError, make_region, parse_region
 from .suite import FIRST_SEED, SceneSpec, Suite, SuiteError, Work, make_works, whole
 
 SUITE_KEYS = {
@@ -18,17 +18,26 @@ SUITE_KEYS = {
         "baseline",
         "budget",
         "samples",
-        "repeats",
+        "seeds",
         "seed",
-        "crops",
+        "wholeFrames",
+        "subsurfaceOnly",
         "settings",
         "exposure",
     ),
     *("reference", "scenes"),
 }
 SCENE_KEYS = {
-    *("about", "name", "stage", "regions", "settings", "overrides", "variants", "reference", "exposure"),
+    *("about", "name", "stage", "crops", "settings", "overrides", "variants", "reference", "exposure"),
 }
+
+#: What renders references: the first that is not under test. Classical walks are unbiased, learn nothing and share
+#: nothing with the guided ones. The second has neither caches nor learning; its weights are exact, and a half of
+#: classical walks bounds them: at most twice the second moment of classical ones, wherever the light is.
+REFERENCE_METHODS = ("classical", "poe:walkPdf=exact:classicalFraction=0.5")
+
+#: Samples of a reference over the most of any method, and its samples where methods have a time budget.
+REFERENCE_WORK, REFERENCE_SAMPLES = 64, 4096
 
 #: Settings that the comparison itself decides; of those that methods share, a scene has its view.
 DECIDED = {*SHARED, "walk", "seed"} - {"camera", "resolution", "pixelAspectRatio", "aspectRatioConformPolicy"}
@@ -40,7 +49,7 @@ def build_suite(args: argparse.Namespace, defaults: Mapping[str, Any]) -> Suite:
         spec = read_spec(Path(args.spec)) if args.spec else {}
         scenes = spec_scenes(spec, args, defaults) if args.spec else flag_scenes(args, defaults)
         suite = assemble(spec, args, scenes, defaults)
-    except (MethodError, RegionError, SettingsError) as error:
+    except (MethodError, CropError, SettingsError) as error:
         raise SuiteError(str(error)) from error
     suite.check()
     return suite
@@ -50,20 +59,68 @@ def assemble(
     spec: Mapping[str, Any], args: argparse.Namespace, scenes: list[SceneSpec], defaults: Mapping[str, Any]
 ) -> Suite:
     methods = methods_of(args.methods or texts(spec, "methods"), defaults)
+    amounts = works(args, spec)
     made = mapping(spec, "reference", args.spec)
     known(made, {"samples", "method"}, "reference")
-    (reference,) = methods_of([args.referenceMethod or made.get("method", "classical")], defaults)
+    reference, note = None, ""
+    if not all(scene.reference for scene in scenes):
+        reference, note = reference_method(args.referenceMethod or made.get("method"), methods, defaults)
     return Suite(
         methods,
         args.baseline or spec.get("baseline") or methods[0].label,
-        works(args, spec),
+        amounts,
         tuple(scenes),
         reference,
-        whole(chosen(args.repeats, spec, "repeats", 3), "repeats", 1),
+        whole(chosen(args.seeds, spec, "seeds", 3), "seeds", 1),
         whole(chosen(args.seed, spec, "seed", FIRST_SEED), "seed", 0),
-        bool(chosen(args.crops, spec, "crops", True)),
-        whole(chosen(args.referenceSamples, made, "samples", 0), "reference samples", 0),
+        flag(args.wholeFrames, spec, "wholeFrames"),
+        flag(args.subsurfaceOnly, spec, "subsurfaceOnly"),
+        whole(chosen(args.referenceSamples, made, "samples", enough(amounts)), "reference samples", 0),
+        note,
     )
+
+
+def enough(amounts: Sequence[Work]) -> int:
+    """Samples of a reference where none are asked for; its own error is then some percent of the smallest measured."""
+    most = amounts[-1]
+    return int(most.amount) * REFERENCE_WORK if most.kind == "samples" else REFERENCE_SAMPLES
+
+
+def reference_method(
+    named: str | None, methods: Sequence[Method], defaults: Mapping[str, Any]
+) -> tuple[Method, str]:
+    """The method that is asked for, else the first of `REFERENCE_METHODS` that is not under test; with a note."""
+    if named:
+        (asked,) = methods_of([named], defaults)
+        tested = under_test(asked, methods, defaults)
+        return (
+            asked,
+            f"{asked.label} renders the reference, as was asked for, and is {tested}" if tested else "",
+        )
+    passed = []
+    for choice in methods_of(list(REFERENCE_METHODS), defaults):
+        tested = under_test(choice, methods, defaults)
+        if not tested:
+            return choice, "; ".join([*passed, f"{choice.label} renders the reference"]) if passed else ""
+        passed.append(f"{choice.label} is {tested} and cannot be its own reference")
+    raise SuiteError(
+        "; ".join([*passed, "name another method by --referenceMethod, or give --reference FILE"])
+    )
+
+
+def under_test(method: Method, methods: Sequence[Method], defaults: Mapping[str, Any]) -> str:
+    """Says which of `methods` walks as `method` does; empty: none.
+
+    `auto` is classical in some bodies. Settings that only the other one makes do not tell the two apart: to this kind
+    of walk they may mean nothing.
+    """
+    for other in methods:
+        settings = {**defaults, **other.settings}
+        walks = {"auto", "classical"} if method.settings["walk"] == "classical" else {method.settings["walk"]}
+        same = all(settings[name] == value for name, value in method.settings.items() if name != "walk")
+        if settings["walk"] in walks and same:
+            return "under test" if other.label == method.label else f"under test, as {other.label}"
+    return ""
 
 
 def methods_of(named: list[str], defaults: Mapping[str, Any]) -> tuple[Method, ...]:
@@ -100,25 +157,25 @@ def flag_scenes(args: argparse.Namespace, defaults: Mapping[str, Any]) -> list[S
         raise SuiteError("--reference is for one stage; with several, use --referenceSamples, or --spec")
     settings = typed_settings(args, defaults)
     reference = tuple(Path(file) for file in args.reference or ())
-    regions = flag_regions(args.region or [], names)
+    crops = flag_crops(args.crops or [], names)
     return [
         SceneSpec(
-            name, Path(stage), regions[name], settings, reference=reference, exposure=args.exposure or 0.0
+            name, Path(stage), crops[name], settings, reference=reference, exposure=args.exposure or 0.0
         )
         for name, stage in zip(names, args.stages, strict=True)
     ]
 
 
-def flag_regions(named: list[str], scenes: list[str]) -> dict[str, tuple[Region, ...]]:
-    """Regions by the name of their scene; one that names none belongs to all."""
-    regions: dict[str, tuple[Region, ...]] = dict.fromkeys(scenes, ())
+def flag_crops(named: list[str], scenes: list[str]) -> dict[str, tuple[Crop, ...]]:
+    """Crops by the name of their scene; one that names none belongs to all."""
+    crops: dict[str, tuple[Crop, ...]] = dict.fromkeys(scenes, ())
     for text in named:
-        scene, region = parse_region(text)
-        if scene and scene not in regions:
-            raise SuiteError(f"--region {text}: there is no stage {scene!r}; there are {', '.join(scenes)}")
+        scene, crop = parse_crop(text)
+        if scene and scene not in crops:
+            raise SuiteError(f"--crops {text}: there is no stage {scene!r}; there are {', '.join(scenes)}")
         for name in [scene] if scene else scenes:
-            regions[name] = (*regions[name], region)
-    return regions
+            crops[name] = (*crops[name], crop)
+    return crops
 
 
 def read_spec(file: Path) -> dict[str, Any]:
@@ -138,7 +195,7 @@ def read_spec(file: Path) -> dict[str, Any]:
 def spec_scenes(
     spec: Mapping[str, Any], args: argparse.Namespace, defaults: Mapping[str, Any]
 ) -> list[SceneSpec]:
-    for flag, given in (("STAGE", args.stages), ("--region", args.region), ("--reference", args.reference)):
+    for flag, given in (("STAGE", args.stages), ("--crops", args.crops), ("--reference", args.reference)):
         if given:
             raise SuiteError(f"{flag} does not go with --spec: {args.spec} describes it")
     common, typed = settings_of(spec, args.spec, defaults), typed_settings(args, defaults)
@@ -157,11 +214,11 @@ def spec_scene(entry: Any, where: str, folder: Path, settings: Settings, exposur
     if not isinstance(entry.get("stage"), str):
         raise SuiteError(f"{where}: stage: expected a file name")
     stage = folder / entry["stage"]
-    regions = mapping(entry, "regions", where)
+    crops = mapping(entry, "crops", where)
     return SceneSpec(
         str(entry.get("name", stage.stem)),
         stage,
-        tuple(make_region(name, ndc) for name, ndc in regions.items()),
+        tuple(make_crop(name, ndc) for name, ndc in crops.items()),
         settings,
         mapping(entry, "overrides", where),
         mapping(entry, "variants", where),
@@ -220,6 +277,13 @@ def texts(entry: Mapping[str, Any], key: str) -> list[str]:
     value = [value] if isinstance(value, str) else value
     if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
         raise SuiteError(f"{key}: expected a list of strings, got {value!r}")
+    return value
+
+
+def flag(typed: bool | None, spec: Mapping[str, Any], key: str) -> bool:
+    value = chosen(typed, spec, key, False)
+    if not isinstance(value, bool):
+        raise SuiteError(f"{key}: expected true or false, got {value!r}")
     return value
 
 

@@ -1,12 +1,12 @@
-"""What is to be compared: methods, work, scenes and their regions. `flags` and `spec` make suites."""
+"""What is to be compared: methods, work, scenes and their crops. `flags` and `spec` make suites."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from .crops import Crop
 from .methods import Method
-from .regions import Region
 
 #: More samples than any time limit lets pass.
 ENDLESS = 1 << 31
@@ -43,7 +43,7 @@ class SceneSpec:
 
     name: str
     stage: Path
-    regions: tuple[Region, ...] = ()
+    crops: tuple[Crop, ...] = ()
     #: Render settings by name, for all methods.
     settings: Mapping[str, Any] = field(default_factory=dict)
     #: Property path -> value, authored in the session layer.
@@ -62,14 +62,19 @@ class Suite:
     baseline: str
     works: tuple[Work, ...]
     scenes: tuple[SceneSpec, ...]
-    reference_method: Method
-    repeats: int = 3
+    #: None where no reference has to be made.
+    reference_method: Method | None
+    seeds: int = 3
     #: Of the first repeat.
     seed: int = FIRST_SEED
-    #: Regions are rendered as crops of their own, else cut from whole frames.
-    crops: bool = True
+    #: Crops are cut from whole frames; else each is rendered for itself, with all work in it.
+    whole_frames: bool = False
+    #: Errors are measured only where the reference has subsurface light.
+    subsurface_only: bool = False
     #: Samples per pixel of both halves together.
     reference_samples: int = 0
+    #: Why the reference method is the one it is, where that is not the default.
+    reference_note: str = ""
 
     def check(self) -> None:
         """What no single entry shows. Raises SuiteError."""
@@ -77,12 +82,9 @@ class Suite:
         if self.baseline not in labels:
             raise SuiteError(f"--baseline {self.baseline}: the methods are {', '.join(labels)}")
         for scene in self.scenes:
-            distinct([region.name for region in scene.regions], f"{scene.name}: region")
+            distinct([crop.name for crop in scene.crops], f"{scene.name}: crop")
             if not scene.reference and self.reference_samples < 2:
-                raise SuiteError(
-                    f"{scene.name} has no reference: give --reference REF.exr, or --referenceSamples N (2 or more) "
-                    "to have one made"
-                )
+                raise SuiteError("a reference is made in two halves: --referenceSamples 2 or more")
         distinct([scene.name for scene in self.scenes], "scene")
 
 

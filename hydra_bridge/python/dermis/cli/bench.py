@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def add_suite_arguments(parser: argparse.ArgumentParser) -> None:
     """What is compared, and with how much work."""
     group = parser.add_argument_group("comparison")
-    group.add_argument("--spec", metavar="FILE.json", help="description of stages, regions, methods")
+    group.add_argument("--spec", metavar="FILE.json", help="description of stages, crops, methods")
     group.add_argument("--only", type=_names, metavar="SCENE[,SCENE...]", help="of the scenes of --spec")
     group.add_argument(
         "--methods",
@@ -64,19 +64,26 @@ def add_suite_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N[,N...]",
         help="samples per pixel, instead of --budget",
     )
-    group.add_argument("--repeats", type=positive, metavar="N", help="independent seeds (default=3)")
+    group.add_argument("--seeds", type=positive, metavar="N", help="independent seeds (default=3)")
     group.add_argument("--seed", type=count, metavar="N", help="seed of the first repeat (default=1)")
     group.add_argument(
-        "--region",
+        "--crops",
         action="append",
         metavar="[STEM/]NAME=X0,Y0,X1,Y1",
         help="part of the image that is measured on its own, in the coordinates of --crop (repeatable; "
         "default: the frame)",
     )
     group.add_argument(
-        "--crops",
-        action=argparse.BooleanOptionalAction,
-        help="render each region as a crop, all work in it (default); --no-crops cuts them from whole frames",
+        "--wholeFrames",
+        action="store_true",
+        default=None,
+        help="cut crops from whole frames (default: each is rendered for itself, all work in it)",
+    )
+    group.add_argument(
+        "--subsurfaceOnly",
+        action="store_true",
+        default=None,
+        help="measure only pixels where the subsurface AOV of the reference is not zero (default: all)",
     )
     group.add_argument(
         "--set",
@@ -93,7 +100,7 @@ def add_reference_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--reference",
         action="append",
-        metavar="REF.exr",
+        metavar="FILE.exr",
         help="image to compare to, of the same resolution; given twice: two halves with different seeds, whose "
         "difference tells the reference's own noise (else its variance AOV does)",
     )
@@ -101,21 +108,35 @@ def add_reference_arguments(parser: argparse.ArgumentParser) -> None:
         "--referenceSamples",
         type=positive,
         metavar="N",
-        help="have one made, in two halves, and kept in DIR/reference for further runs",
+        help="of the one that is made otherwise, in two halves, and kept in DIR/reference for further runs "
+        "(default: 64 times the most --samples, 4096 with --budget)",
     )
-    group.add_argument("--referenceMethod", metavar="METHOD", help="of that one (default=classical)")
+    group.add_argument(
+        "--referenceMethod",
+        metavar="METHOD",
+        help="of that one (default: classical, unless it is under test)",
+    )
 
 
 def add_report_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("report")
-    group.add_argument("--out", required=True, metavar="DIR", help="folder for numbers and pictures")
     group.add_argument(
-        "--figure", type=display_path, metavar="FILE.png", help="contact sheet: methods across, regions down"
+        "--out",
+        required=True,
+        metavar="DIR",
+        help="folder for report, numbers, renders; what is complete in it is taken up",
     )
-    group.add_argument("--figureRows", type=_names, metavar="SCENE/REGION[,...]", help="of the contact sheet")
-    group.add_argument("--exposure", type=float, metavar="STOPS", help="of the pictures in the contact sheet")
-    group.add_argument("--noPlots", action="store_true", help="numbers only; needs no matplotlib")
-    group.add_argument("--quiet", action="store_true", help="do not say on stderr what is rendered")
+    group.add_argument(
+        "--figure", type=display_path, metavar="FILE.png", help="contact sheet: methods across, crops down"
+    )
+    group.add_argument("--figureRows", type=_names, metavar="SCENE/CROP[,...]", help="of the contact sheet")
+    group.add_argument("--exposure", type=float, metavar="STOPS", help="of pictures, and of FLIP")
+    group.add_argument(
+        "--numbersOnly",
+        action="store_true",
+        help="numbers only, FLIP not among them; needs neither matplotlib nor flip-evaluator",
+    )
+    group.add_argument("--quiet", action="store_true", help="no progress on stderr")
 
 
 def run(parser: argparse.ArgumentParser, args: argparse.Namespace) -> int:
@@ -126,13 +147,13 @@ def run(parser: argparse.ArgumentParser, args: argparse.Namespace) -> int:
     try:
         described = spec.build_suite(args, defaults)
         places = figure.figure_rows(described, args.figureRows)
-        if not args.noPlots:
-            plots.require_matplotlib()
+        if not args.numbersOnly:
+            plots.require_libraries()
         elif args.figure:
-            parser.error("--figure does not go with --noPlots")
+            parser.error("--figure does not go with --numbersOnly")
     except (suite.SuiteError, figure.FigureError, plots.PlotsError) as error:
         parser.error(str(error))
-    for file in ("results.json", "reference/a", "images/a", "errors/a"):
+    for file in ("results.json", "reference/a", "runs/a"):
         output.prepare_folder(Path(args.out) / file)
     if args.figure:
         output.prepare_folder(args.figure)
@@ -149,8 +170,11 @@ def measure(
     folder: Path,
 ) -> int:
     """Opens the scenes, measures, reports; `folder` is for flattened scenes."""
+    from .. import color
     from ..bench import reference, report, runner, scenes
 
+    if suite.reference_note and not args.quiet:
+        print(f"Note: {suite.reference_note}", file=sys.stderr)
     printer = Printer()
     opened = []
     try:
@@ -160,14 +184,14 @@ def measure(
             opened.append(scene)
     except SettingsError as error:
         parser.error(str(error))
+    out = Path(args.out)
     try:
-        found = runner.Runner(suite, Path(args.out), (lambda text: None) if args.quiet else say, printer).run(
-            opened
-        )
-    except reference.BadReference as error:
+        transform = None if args.numbersOnly else color.DisplayTransform()
+        found = runner.Runner(suite, out, args.quiet, printer, transform).run(opened)
+    except (color.ColorError, reference.BadReference) as error:
         print(error, file=sys.stderr)
         return 1
-    text = report.write(found, suite, opened, Path(args.out), pictures=not args.noPlots)
+    text = report.write(found, suite, opened, out, transform)
     if args.figure:
         report.write_figure(found, suite, places, Path(args.figure))
     print(text, end="", flush=True)
@@ -176,10 +200,6 @@ def measure(
     if found.interrupted:
         return 130
     return 1 if found.failures else 0
-
-
-def say(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
 
 
 def _names(text: str) -> list[str]:

@@ -36,11 +36,11 @@ class Progress:
         if self._bar is not None:
             self._bar.stop()
 
-    def update(self, frame: int, fraction: float) -> None:
-        """`fraction` of image number `frame` (from 0) is done."""
+    def update(self, frame: int, fraction: float, text: str = "Rendering") -> None:
+        """`fraction` of image number `frame` (from 0) is done; `text` stands before the bar."""
         done = min(max((frame + fraction) / self.frames, 0.0), 1.0)
         if self.kind == "bar":
-            self._bar.update(self._task, completed=done)
+            self._bar.update(self._task, completed=done, description=text)
         elif self.kind == "alf":
             self._line(f"ALF_PROGRESS {int(done * 100)}%")
         elif self.kind == "json":

@@ -1,4 +1,4 @@
-"""Regions of the image that are measured on their own: NDC rectangles, snapped to pixels."""
+"""Parts of the image that are measured on their own: NDC rectangles, snapped to pixels."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -6,19 +6,19 @@ from typing import NamedTuple
 import numpy as np
 
 
-class RegionError(Exception):
-    """A region that is none; the text names it."""
+class CropError(Exception):
+    """A crop that is none; the text names it."""
 
 
 @dataclass(frozen=True)
-class Region:
+class Crop:
     name: str
     #: x0 y0 x1 y1 in [0, 1], (0, 0) at the lower left as `--crop`.
     ndc: tuple[float, float, float, float]
 
 
-#: What is measured where no region is named.
-FRAME = Region("frame", (0.0, 0.0, 1.0, 1.0))
+#: What is measured where no crop is named.
+FRAME = Crop("frame", (0.0, 0.0, 1.0, 1.0))
 
 
 class Window(NamedTuple):
@@ -49,24 +49,24 @@ class Window(NamedTuple):
         return [self.x0 / width, 1.0 - self.y1 / height, self.x1 / width, 1.0 - self.y0 / height]
 
 
-def make_region(name: str, ndc: object) -> Region:
-    """A checked region. Raises RegionError."""
+def make_crop(name: str, ndc: object) -> Crop:
+    """A checked crop. Raises CropError."""
     try:
         x0, y0, x1, y1 = (float(edge) for edge in ndc)  # type: ignore[attr-defined]
     except (TypeError, ValueError):
-        raise RegionError(f"region {name!r}: expected four numbers X0,Y0,X1,Y1, got {ndc!r}") from None
+        raise CropError(f"crop {name!r}: expected four numbers X0,Y0,X1,Y1, got {ndc!r}") from None
     if not (0.0 <= x0 < x1 <= 1.0 and 0.0 <= y0 < y1 <= 1.0):
-        raise RegionError(f"region {name!r}: 0 <= X0 < X1 <= 1 and 0 <= Y0 < Y1 <= 1 must hold")
-    return Region(name, (x0, y0, x1, y1))
+        raise CropError(f"crop {name!r}: 0 <= X0 < X1 <= 1 and 0 <= Y0 < Y1 <= 1 must hold")
+    return Crop(name, (x0, y0, x1, y1))
 
 
-def parse_region(text: str) -> tuple[str, Region]:
-    """(scene, region) of `[SCENE/]NAME=X0,Y0,X1,Y1`; the scene is empty where none is named. Raises RegionError."""
+def parse_crop(text: str) -> tuple[str, Crop]:
+    """(scene, crop) of `[SCENE/]NAME=X0,Y0,X1,Y1`; the scene is empty where none is named. Raises CropError."""
     name, equals, numbers = text.partition("=")
     scene, _, name = name.rpartition("/")
     if not (equals and name):
-        raise RegionError(f"--region {text}: expected [SCENE/]NAME=X0,Y0,X1,Y1")
-    return scene, make_region(name, numbers.split(","))
+        raise CropError(f"--crops {text}: expected [SCENE/]NAME=X0,Y0,X1,Y1")
+    return scene, make_crop(name, numbers.split(","))
 
 
 def window(ndc: tuple[float, float, float, float], resolution: tuple[int, int]) -> Window:
