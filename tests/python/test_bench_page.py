@@ -61,7 +61,9 @@ def wipe(page) -> float:
 
 def drag_line(page, share: float) -> None:
     x, y, width, height = page.box(PANE)
-    start = x + min(max(wipe(page), 0.005), 0.995) * width  # within the pane also where the line is on its edge
+    start = (
+        x + min(max(wipe(page), 0.005), 0.995) * width
+    )  # within the pane also where the line is on its edge
     page.drag((start, y + height / 2.0), (x + share * width, y + height / 2.0))
 
 

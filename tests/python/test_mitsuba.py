@@ -26,7 +26,6 @@ so that at 0.02 what differs by design is below the error.
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np

@@ -8,13 +8,14 @@ from typing import Any
 
 from ..cli.settings import Settings, SettingsError, format_value, parse_assignment
 from .crops import Crop, CropError, make_crop, parse_crop
-from .methods import SHARED, Method, MethodError, check, parse_methods
+from .methods import SHARED, Method, MethodError, check, parse_methods, peer_methods
 from .suite import FIRST_SEED, SceneSpec, Suite, SuiteError, Work, make_works, whole
 
 SUITE_KEYS = {
     *(
         "about",
         "methods",
+        "peers",
         "baseline",
         "budget",
         "samples",
@@ -59,6 +60,7 @@ def assemble(
     spec: Mapping[str, Any], args: argparse.Namespace, scenes: list[SceneSpec], defaults: Mapping[str, Any]
 ) -> Suite:
     methods = methods_of(args.methods or texts(spec, "methods"), defaults)
+    methods += tuple(peer_methods(args.peers or texts(spec, "peers")))
     amounts = works(args, spec)
     made = mapping(spec, "reference", args.spec)
     known(made, {"samples", "method"}, "reference")

@@ -110,14 +110,18 @@ class Peer:
             # Towards a third of the budget, but not by more than eightfold: start-up hides in short renders.
             samples = int(np.clip(samples * 0.35 * seconds / wall, samples + 1, 8 * samples))
 
-    def close(self) -> None:
-        assert self._process.stdin
+    def close(self, at_once: bool = False) -> None:
+        """`at_once`: without waiting for a render under way."""
+        assert self._process.stdin and self._process.stdout
+        if at_once:
+            self._process.kill()
         self._process.stdin.close()
         try:
             self._process.wait(10.0)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+        self._process.stdout.close()
         self._log.close()
         self._folder.cleanup()
 
@@ -127,10 +131,7 @@ class Peer:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        # A render under way would be waited for.
-        if error is not None:
-            self._process.kill()
-        self.close()
+        self.close(at_once=error is not None)
 
     def _ask(self, request: dict[str, Any]) -> dict[str, Any]:
         assert self._process.stdin and self._process.stdout
