@@ -96,12 +96,15 @@ def DiskLight "Rim"
 
 @dataclass(frozen=True)
 class Case:
-    """`samples`: per pixel and run. Beneath a rough boundary an area light is noisier."""
+    """`samples`: per pixel and run. Beneath a rough boundary an area light is noisier; beneath a smooth one it is found
+    by chance alone, so that the sky has to do."""
 
     boundary: str
     g: float
     light: str
     samples: int
+    alpha: float = ALPHA
+    ior: float = 1.5
 
 
 CASES = {
@@ -109,6 +112,9 @@ CASES = {
     "indexMatched forward": Case("indexMatched", 0.5, SPHERE, 48),
     "rough dielectric": Case("dielectric", 0.0, RECT, 96),
     "rough dielectric forward": Case("dielectric", 0.5, DISK, 80),
+    "smooth dielectric": Case("dielectric", 0.0, "", 48, alpha=0.0),
+    # Index 1: without the specular lobe, which Mitsuba's lacks.
+    "diffuse": Case("diffuse", 0.0, RECT, 64, ior=1.0),
 }
 
 
@@ -151,8 +157,8 @@ def Material "Look"
     def Shader "Surface"
     {{
         uniform token info:id = "UsdPreviewSurface"
-        float inputs:roughness = {math.sqrt(ALPHA)}
-        float inputs:ior = 1.5
+        float inputs:roughness = {math.sqrt(case.alpha)}
+        float inputs:ior = {case.ior}
         float inputs:subsurface = 1
         color3f inputs:subsurfaceRadius = (0.6, 0.4, 0.2)
         float inputs:subsurfaceScale = 0.5

@@ -1,8 +1,7 @@
 """A flattened scene for Cycles, as JSON that `cycles_worker` builds with bpy; arrays lie beside it as .npy.
 
 A diffuse boundary is the Principled BSDF's random walk; media behind a dielectric, and those without boundary, are
-volumes. Cycles' walk has a model of its own: it inverts the colour by a fit of its own, knows no single-scattering
-albedo, and ends after 256 steps.
+volumes. Cycles' walk has a model of its own, see WALK, and takes no single-scattering albedo.
 """
 
 import math
@@ -35,6 +34,12 @@ from .mitsuba_export import Exported
 
 #: Cycles takes a radius of 4 pi mean free paths (`bssrdf_setup_radius`), in memory of its older models.
 RADIUS_PER_MEAN_FREE_PATH = 4.0 * math.pi
+
+#: Of the colour .4, lit and seen along the normal, 15 % less comes back than of a diffuse boundary; of .8, 4 %.
+WALK = (
+    "Cycles' random walk enters refracted where dermis' enters diffusely, inverts colours by another fit, takes no "
+    "more than 256 steps, isotropic ones from the tenth on"
+)
 
 #: Blackman-Harris filter, in pixels, with the variance of dermis' tent: 1/6 = 0.01918 width^2. Cycles has no tent.
 FILTER_WIDTH = 2.948
@@ -113,9 +118,7 @@ def body(medium: Medium, path: str, exported: Exported) -> Fields:
 def random_walk(medium: Medium, path: str, exported: Exported) -> Fields:
     if medium.color is None:
         raise ExportError(f"{path}: subsurfaceAlbedo: Cycles takes a colour, not a single-scattering albedo")
-    exported.differs(
-        "Cycles' random walk: its own colour inversion, no more than 256 steps, similarity beyond 9"
-    )
+    exported.differs(WALK)
     return {
         "kind": "subsurface",
         "color": medium.color,

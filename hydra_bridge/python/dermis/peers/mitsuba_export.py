@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..stage import FlatStage
 from .appearance import (
@@ -215,9 +216,21 @@ def dome(flat: FlatStage, prim: Fields, file: Path) -> Fields:
         return {"type": "constant", "radiance": rgb(radiance(prim, 1.0))}
     image = flat.prims[texture]
     pixels = image["pixels"].reshape(image["height"], image["width"], 3)
-    np.save(file, (pixels * np.array(radiance(prim, 1.0))).astype(np.float32))
+    np.save(file, (pole_to_pole(pixels) * np.array(radiance(prim, 1.0))).astype(np.float32))
     # Mitsuba's map too has its pole at +Y, the middle of the image at +Z and +X to its left.
     return {"type": "envmap", "bitmap": {"image": str(file)}, "to_world": transform(dome_turn(prim))}
+
+
+def pole_to_pole(pixels: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Twice the rows and one, the same function of the latitude.
+
+    Mitsuba's first and last row lie at the poles, dermis' (and everyone's) end there: edges and centres of the rows
+    are places where a piecewise linear function may be sampled without changing it.
+    """
+    padded = np.concatenate([pixels[:1], pixels, pixels[-1:]])
+    rows = np.empty((2 * len(pixels) + 1, *pixels.shape[1:]), dtype=np.float32)
+    rows[0::2], rows[1::2] = 0.5 * (padded[:-1] + padded[1:]), pixels
+    return rows
 
 
 def spot(prim: Fields, path: str, area: float, exported: Exported) -> Fields:
