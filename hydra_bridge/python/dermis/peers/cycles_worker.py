@@ -10,7 +10,7 @@ import mathutils
 import numpy as np
 from worker import serve
 
-#: Of volumes and refraction; what Cycles allows at most.
+#: Of volumes and refraction; the most that Cycles allows.
 MOST_BOUNCES = 1024
 
 
@@ -27,19 +27,19 @@ class Cycles:
             add_mesh(self.scene, mesh)
         for light in description["lights"]:
             add_light(self.scene, light, description["seen"])
-        add_world(self.scene, description["world"], description["seen"], self.folder)
+        add_world(self.scene, description["world"], description["seen"])
+        self.window: tuple[int, int, int, int] | None = None
         return {"version": bpy.app.version_string, "variant": "CPU", "threads": self.scene.render.threads}
 
     def prepare(self, samples: int, window: tuple[int, int, int, int]) -> None:
         """The window, as Blender's border: fractions of the frame, y up."""
         (width, height), render = self.resolution, self.scene.render
         x0, y0, x1, y1 = window
-        changed = (x0, x1, y0, y1) != getattr(self, "window", None)
         render.border_min_x, render.border_max_x = x0 / width, x1 / width
         render.border_min_y, render.border_max_y = 1.0 - y1 / height, 1.0 - y0 / height
-        self.window = (x0, x1, y0, y1)
-        if changed:
-            # Trees and kernels are built before the clock runs.
+        if window != self.window:
+            self.window = window
+            # Trees are built before the clock runs.
             self.render(1, 0, window)
 
     def render(self, samples: int, seed: int, window: tuple[int, int, int, int]) -> None:
@@ -242,7 +242,7 @@ def faded(tree: Any, strength: float, cone: list[float]) -> Any:
     return fade.outputs["Result"]
 
 
-def add_world(scene: Any, fields: dict[str, Any] | None, seen: bool, folder: Path) -> None:
+def add_world(scene: Any, fields: dict[str, Any] | None, seen: bool) -> None:
     scene.world = world = bpy.data.worlds.new("world")
     tree = node_tree(world)
     world.cycles_visibility.camera = seen

@@ -4,13 +4,12 @@ DIR is $DERMIS_PEERS, else the user's cache folder. `peer.json` there says how t
 so that what is half installed is not there.
 """
 
-import ctypes.util
 import json
 import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -26,8 +25,8 @@ BPY, BPY_PYTHON = "bpy==5.0.1", (3, 11)
 #: Dr.Jit compiles through the system's LLVM, and that of version 16 and older aborts on Mitsuba's volume kernels.
 OLDEST_LLVM = 17
 
-#: Debian's package with a newer one; unpacked beside the environment, not installed.
-LLVM_PACKAGE = "libllvm19"
+#: Debian's package with a newer one, and what it needs; unpacked beside the environment, not installed.
+LLVM_PACKAGES = ("libllvm19", "libz3-4", "libedit2", "libbsd0", "libmd0")
 
 #: Prints LLVM's version and renders a medium: what does not fit may also abort, hence in a process of its own.
 PROBE = """
@@ -37,7 +36,7 @@ body = {"type": "sphere", "bsdf": {"type": "null"}, "interior": {"type": "homoge
 sensor = {"type": "perspective", "film": {"type": "hdrfilm", "width": 4, "height": 4}}
 scene = {"type": "scene", "integrator": {"type": "volpath"}, "body": body, "sky": {"type": "constant"}, "s": sensor}
 mi.render(mi.load_dict(scene), spp=1).numpy()
-print(dr.detail.llvm_version())
+print(dr.detail.llvm_version()[0])
 """
 
 Say = Callable[[str], None]
@@ -104,10 +103,9 @@ def install_cycles(place: Path, say: Say) -> Environment:
 
 def install_mitsuba(place: Path, say: Say) -> Environment:
     python = virtual_environment(sys.executable, place, MITSUBA, say)
-    for library in llvm_libraries(place, say):
-        version = probe(python, library)
+    for variables in llvm_variables(place, say):
+        version = probe(python, variables)
         if version >= OLDEST_LLVM:
-            variables = {"DRJIT_LIBLLVM_PATH": library} if library else {}
             about = f"{MITSUBA}, llvm_ad_rgb, LLVM {version}"
             return Environment("mitsuba", python, ["llvm_ad_rgb"], variables, about)
     say(f"mitsuba: there is no LLVM {OLDEST_LLVM} or newer that works: the variant scalar_rgb is used")
@@ -139,38 +137,37 @@ def python_of(version: tuple[int, int]) -> str:
     raise PeerError(f"{BPY} needs {name}, which was not found on the PATH or in {known}")
 
 
-def llvm_libraries(place: Path, say: Say) -> list[str]:
-    """Candidates for DRJIT_LIBLLVM_PATH, best first; empty text: what Dr.Jit finds by itself."""
+def llvm_variables(place: Path, say: Say) -> Iterator[dict[str, str]]:
+    """Environment variables with which Dr.Jit may find an LLVM, in the order of trial."""
     given = os.environ.get("DRJIT_LIBLLVM_PATH")
-    if given:
-        return [given]
-    system = ctypes.util.find_library("LLVM")
-    return ["", *fetched_llvm(place, say)] if system else [*fetched_llvm(place, say), ""]
+    yield {"DRJIT_LIBLLVM_PATH": given} if given else {}
+    for library in () if given else fetched_llvm(place, say):
+        yield {"DRJIT_LIBLLVM_PATH": str(library), "LD_LIBRARY_PATH": str(library.parent)}
 
 
-def fetched_llvm(place: Path, say: Say) -> list[str]:
-    """LLVM out of Debian's package, where apt has it."""
+def fetched_llvm(place: Path, say: Say) -> list[Path]:
+    """LLVM out of Debian's packages, where apt has them."""
     if not (shutil.which("apt-get") and shutil.which("dpkg-deb")):
         return []
     folder = place / "llvm"
     folder.mkdir()
     try:
         # `download` needs no root and installs nothing.
-        run(["apt-get", "download", LLVM_PACKAGE], f"{LLVM_PACKAGE} could not be fetched", folder)
+        run(["apt-get", "download", *LLVM_PACKAGES], f"{LLVM_PACKAGES[0]} could not be fetched", folder)
         for package in folder.glob("*.deb"):
             run(["dpkg-deb", "--extract", str(package), str(folder)], f"{package} could not be unpacked")
             package.unlink()
     except PeerError as error:
         say(f"mitsuba: {error}")
-    return [str(file) for file in sorted(folder.rglob("libLLVM-*.so"))]
+    return sorted(folder.rglob("libLLVM-*.so"))
 
 
-def probe(python: str, library: str) -> int:
+def probe(python: str, variables: Mapping[str, str]) -> int:
     """Major version of an LLVM that renders; 0 for one that does not."""
-    variables = {**os.environ, **({"DRJIT_LIBLLVM_PATH": library} if library else {})}
-    done = subprocess.run([python, "-c", PROBE], capture_output=True, text=True, env=variables)
+    environment = {**os.environ, **variables}
+    done = subprocess.run([python, "-c", PROBE], capture_output=True, text=True, env=environment)
     words = done.stdout.strip().splitlines()
-    return int(words[-1].strip("()").split(".")[0].split(",")[0]) if done.returncode == 0 and words else 0
+    return int(words[-1]) if done.returncode == 0 and words else 0
 
 
 def run(command: list[str], failure: str, folder: Path | None = None) -> None:
