@@ -309,6 +309,9 @@ def test_what_differs_is_said_and_what_does_not_is_not(tmp_path):
     assert differences(subsurfaceBoundary="diffuse", ior=1.0) == []
     assert "specular" in differences(subsurfaceBoundary="diffuse", ior=1.4)[0]
     assert "rough dielectric" in differences(subsurfaceBoundary="dielectric", roughness=0.3)[0]
+    smooth = block(subsurfaceBoundary="dielectric", roughness=0.0)
+    smooth.prims["/World/Block"]["subdivisionScheme"] = "catmullClark"
+    assert "interpolated normals" in mitsuba_export.export(smooth, tmp_path).differences[0]
     mis = mitsuba_export.export_mis(block(subsurfaceBoundary="indexMatched"), tmp_path)
     assert mis.description["scene"]["integrator"]["type"] == "volpathmis" and len(mis.differences) == 1
 

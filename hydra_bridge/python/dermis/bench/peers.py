@@ -4,12 +4,14 @@ import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..cli.output import replacing
+from ..peers import client
 from ..peers.client import Peer, Picture
 from ..peers.environments import PeerError
 from ..peers.flat_file import read_flat
@@ -74,7 +76,7 @@ class Peers:
     def settings(self, method: Method, work: Work, seed: int) -> dict[str, Any]:
         """What a render depends on, by which it is kept."""
         about = self._opened[method.label].peer.environment.about
-        return {"peer": method.peer, "about": about, **work.settings, "seed": seed}
+        return {"peer": method.peer, "about": about, "source": source(), **work.settings, "seed": seed}
 
     def render(self, scene: Scene, method: Method, work: Work, seed: int, window: Window) -> Render:
         """Raises PeerError, ExportError."""
@@ -117,6 +119,7 @@ class Peers:
             opened.scene, opened.fitting = "", {}
             opened.exported, _ = opened.peer.load(read_flat(scene.file), scene.threads)
             opened.scene = scene.key
+            self._note(f"{method.label}: {opened.peer.environment.about}; {opened.peer.kind.film}")
         return opened
 
     def _half(
@@ -131,8 +134,8 @@ class Peers:
     ) -> Path:
         """File of one half; rendered if it is not there."""
         samples = (self.suite.reference_samples + 1) // 2
-        # The description names temporary files; what they hold is the scene's.
-        content = [method.peer, opened.peer.environment.about, scene.key, samples, seed, list(window)]
+        about = opened.peer.environment.about
+        content = [method.peer, about, source(), scene.key, samples, seed, list(window)]
         key = hashlib.sha256(json.dumps(content).encode()).hexdigest()[:24]
         file = self.folder / f"{safe(method.label)}.{key}.exr"
         share = watch(half, file.exists())
@@ -172,6 +175,13 @@ class Peers:
     def _note(self, text: str) -> None:
         if text not in self.notes:
             self.notes.append(text)
+
+
+@cache
+def source() -> str:
+    """Of what is told to peers, and how: a hash, for a picture may change with it."""
+    files = sorted(Path(client.__file__).parent.glob("*.py"))
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:24]
 
 
 def write_ratio(own: np.ndarray, known: np.ndarray, file: Path) -> None:
