@@ -368,6 +368,9 @@ def test_polygons_become_fans_and_normals_follow_the_corners():
     values = np.array([[1, 0, 1], [0, 0, 1], [0, 0, 1], [0, 1, 1]], dtype=np.float32)
     corner = triangles_of({**mesh, "normals": {"interpolation": "faceVarying", "values": values}}, "/M")
     assert corner.points.shape == (6, 3)
+    assert corner.smooth and not flat.smooth
+    same = np.tile(np.array([[0, 0, 1]], dtype=np.float32), (4, 1))
+    assert not triangles_of({**mesh, "normals": {"interpolation": "vertex", "values": same}}, "/M").smooth
     np.testing.assert_allclose(corner.normals[0], np.array([1, 0, 2]) / math.sqrt(5.0), rtol=1e-6)
     np.testing.assert_allclose(corner.normals[5], np.array([0, 1, 1]) / math.sqrt(2.0), rtol=1e-6)
 

@@ -18,6 +18,17 @@ class Triangles:
     #: float32 (n, 3), unit; None: flat faces.
     normals: NDArray[np.float32] | None
 
+    @property
+    def smooth(self) -> bool:
+        """Whether the normals are others than those of the faces."""
+        if self.normals is None:
+            return False
+        a, b, c = (self.points[self.corners[:, i]].astype(float) for i in range(3))
+        faces = unit(np.cross(b - a, c - a))
+        cosines = np.einsum("ijk,ik->ij", self.normals[self.corners], faces)
+        # 1e-4: 0.8 degrees; a face without area has no normal to differ from.
+        return bool((cosines[np.any(faces != 0.0, axis=1)] < 1.0 - 1e-4).any())
+
 
 def triangles_of(prim: Fields, path: str) -> Triangles:
     """Polygons become fans, which needs them convex. Raises ExportError."""

@@ -135,7 +135,7 @@ def mesh(flat: FlatStage, path: str, file: Path, exported: Exported) -> Fields:
             **fields,
             "bsdf": {"type": "twosided", "nested": {"type": "diffuse", "reflectance": reflectance}},
         }
-    if medium.boundary == "dielectric" and triangles.normals is not None:
+    if medium.boundary == "dielectric" and triangles.smooth:
         # The Stanford dragon in a grey sky: Mitsuba 2 to 3 % brighter with its normals, equal within 0.6 % without.
         exported.differs("interpolated normals refract otherwise where they disagree with the faces")
     return {**fields, "bsdf": boundary(medium, exported), "interior": interior(medium)}
