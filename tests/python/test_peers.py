@@ -410,6 +410,18 @@ def test_the_command_refuses_what_it_does_not_know(capsys):
     assert "mitsuba, cycles" in capsys.readouterr().err
 
 
+def test_peers_of_a_suite_do_not_choose_its_reference(tmp_path):
+    from test_bench import suite_of
+
+    described = suite_of("a.usda", "--methods", "mixture", "--peers", "mitsuba,cycles", "--samples", 2)
+    assert [(method.label, method.peer) for method in described.methods] == [
+        ("mixture", ""),
+        ("mitsuba", "mitsuba"),
+        ("cycles", "cycles"),
+    ]
+    assert described.reference_method.label == "classical" and described.reference_note == ""
+
+
 def test_a_bench_without_peers_goes_on_and_says_so(tmp_path, monkeypatch):
     monkeypatch.setenv("DERMIS_PEERS", str(tmp_path / "none"))
     (tmp_path / "block.usda").write_text(BLOCK)
@@ -429,6 +441,7 @@ def test_a_bench_without_peers_goes_on_and_says_so(tmp_path, monkeypatch):
     assert main(["bench", str(tmp_path / "block.usda"), *arguments, *flags]) == 0
     found = json.loads((tmp_path / "out" / "results.json").read_text())
     assert [row["method"] for row in found["rows"]] == ["classical"]
+    assert found["suite"]["baseline"] == "classical"
     assert len(found["peers"]["absent"]) == 2 and "dermis peers install" in found["peers"]["absent"][0]
 
 

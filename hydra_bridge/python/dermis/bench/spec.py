@@ -59,14 +59,14 @@ def build_suite(args: argparse.Namespace, defaults: Mapping[str, Any]) -> Suite:
 def assemble(
     spec: Mapping[str, Any], args: argparse.Namespace, scenes: list[SceneSpec], defaults: Mapping[str, Any]
 ) -> Suite:
-    methods = methods_of(args.methods or texts(spec, "methods"), defaults)
-    methods += tuple(peer_methods(args.peers or texts(spec, "peers")))
+    walks = methods_of(args.methods or texts(spec, "methods"), defaults)
+    methods = (*walks, *peer_methods(args.peers or texts(spec, "peers")))
     amounts = works(args, spec)
     made = mapping(spec, "reference", args.spec)
     known(made, {"samples", "method"}, "reference")
     reference, note = None, ""
     if not all(scene.reference for scene in scenes):
-        reference, note = reference_method(args.referenceMethod or made.get("method"), methods, defaults)
+        reference, note = reference_method(args.referenceMethod or made.get("method"), walks, defaults)
     return Suite(
         methods,
         args.baseline or spec.get("baseline") or methods[0].label,
