@@ -3,6 +3,7 @@
 use dermis::delegate::{DirtyBits, RenderDelegate};
 use dermis::error::{Error, Warning};
 use dermis::flat::{self, Prim, RenderSettings, StageInfo, array::AnyArray, array::with_arrays};
+use dermis::subsurface::inversion::{self, Illumination};
 use numpy::{PyArray3, PyArrayMethods, PyReadonlyArrayDyn};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
@@ -164,9 +165,17 @@ fn any_array(array: &Bound<'_, PyAny>) -> PyResult<AnyArray> {
     Err(PyTypeError::new_err("arrays must be numpy arrays of float32, int32 or float64"))
 }
 
+/// The single-scattering albedo that shows `color` behind a boundary; see [`dermis::subsurface::inversion`].
+#[pyfunction]
+fn single_scattering_albedo(color: [f32; 3], anisotropy: f32, eta: f32, dielectric: bool) -> [f32; 3] {
+    let illumination = if dielectric { Illumination::Normal } else { Illumination::Diffuse };
+    inversion::single_scattering_albedo(color.into(), anisotropy, eta, illumination).into()
+}
+
 #[pymodule]
 fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add("__version__", env!("CARGO_PKG_VERSION"))?;
     m.add("CoreError", m.py().get_type::<CoreError>())?;
+    m.add_function(wrap_pyfunction!(single_scattering_albedo, m)?)?;
     m.add_class::<Delegate>()
 }

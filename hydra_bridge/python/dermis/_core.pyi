@@ -9,6 +9,12 @@ __version__: str
 class CoreError(Exception):
     """An error of the core; the text names the prim, attribute or file."""
 
+def single_scattering_albedo(
+    color: Sequence[float], anisotropy: float, eta: float, dielectric: bool
+) -> list[float]:
+    """The single-scattering albedo per channel that shows `color` (RGB) behind a boundary. `eta`: of a dielectric one,
+    which is lit at normal incidence; 1 for others, which are lit diffusely."""
+
 class Delegate:
     """Hydra's render delegate: prims come by `sync`, changes take effect at `commit`."""
 

@@ -36,6 +36,8 @@ class Method:
     label: str
     #: Render settings by name, `walk` among them.
     settings: Mapping[str, Any]
+    #: Another renderer, of `peers.client.KINDS`; empty: dermis.
+    peer: str = ""
 
     def seeded(self, first: int) -> Settings:
         """The settings, with `first` added to the method's own seed, which is 0 where it has none."""
@@ -70,6 +72,16 @@ def parse_methods(texts: Iterable[str], defaults: Mapping[str, Any]) -> list[Met
         if labels.count(label) > 1:
             raise MethodError(f"method {label!r} is there twice; label one: other={label}")
     return methods
+
+
+def peer_methods(names: Iterable[str]) -> list[Method]:
+    """Other renderers, labelled by their names. Raises MethodError."""
+    from ..peers.client import KINDS
+
+    for name in names:
+        if name not in KINDS:
+            raise MethodError(f"there is no peer {name!r}; there are {', '.join(KINDS)}")
+    return [Method(name, {}, name) for name in dict.fromkeys(names)]
 
 
 def check(method: Method) -> None:

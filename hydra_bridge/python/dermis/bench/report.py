@@ -136,13 +136,14 @@ def warnings_in(run: Run, rows: Sequence[Row], suite: Suite) -> list[str]:
         messages.append(
             f"the budget ended before every pixel had a sample, the others are black: {', '.join(short)}"
         )
-    found = [f"Warning: {message}" for message in messages]
+    found = [f"Warning: {message}" for message in [*messages, *run.absent]]
     found += [f"failed: {failure}" for failure in run.failures]
     return [*found, *(["interrupted: not all that was asked for is here"] if run.interrupted else [])]
 
 
 def notes_in(run: Run, suite: Suite) -> list[str]:
     found = [f"Note: {suite.reference_note}"] if suite.reference_note else []
+    found += [f"Note: {note}" for note in run.peer_notes]
     if 0 < run.kept < run.renders:
         kept = f"{run.kept} of {run.renders} renders are of an earlier run"
         found.append(f"Note: {kept}: their times were not taken in the hour of the others")
@@ -181,6 +182,7 @@ def results(run: Run, rows: Sequence[Row], suite: Suite, scenes: Sequence[Scene]
             for render in cell.renders
         ],
         "failures": run.failures,
+        "peers": {"notes": run.peer_notes, "absent": run.absent},
         "interrupted": run.interrupted,
         "kept": run.kept,
     }

@@ -52,10 +52,13 @@ class Cell:
         mask: Mask = None,
         transform: DisplayTransform | None = None,
         stops: float = 0.0,
+        owner: str = "",
     ) -> None:
         self.reference = reference
         self.variance = variance
         self.mask = mask
+        #: The method that the reference is of, where it is scored against one of its own.
+        self.owner = owner
         self._transform = transform
         self._stops = stops
         self.errors: list[Errors] = []
@@ -175,6 +178,8 @@ class Row:
     steps: float | None
     #: z per channel.
     bias: list[float]
+    #: The method, where its reference is one of its own.
+    owner: str = ""
     #: Efficiency over the baseline's, and of trimmed errors; None where the baseline or a positive error lacks.
     ratio: Number | None = None
     ratio_trimmed: Number | None = None
@@ -241,6 +246,7 @@ def row_of(key: CellKey, cell: Cell) -> Row:
         peak=max((r["peak"] for r in cell.renders if r["peak"]), default=None),
         steps=sum(render["walk_steps"] for render in cell.renders) / walks if walks else None,
         bias=cell.bias_of(cell.mean_image),
+        owner=cell.owner,
     )
 
 
@@ -324,8 +330,9 @@ class ReferenceNoise:
 def reference_noise(rows: list[Row]) -> list[ReferenceNoise]:
     """Per crop, in the order of the rows."""
     found = []
-    for place in dict.fromkeys((row.scene, row.crop) for row in rows):
-        here = [row for row in rows if (row.scene, row.crop) == place]
+    for scene, crop, owner in dict.fromkeys((row.scene, row.crop, row.owner) for row in rows):
+        here = [row for row in rows if (row.scene, row.crop, row.owner) == (scene, crop, owner)]
+        place = (scene, f"{crop} of {owner}" if owner else crop)
         smallest = min(row.relmse.mean + row.noise for row in here)
         noise = here[0].noise
         found.append(ReferenceNoise(*place, noise, noise / smallest if smallest > 0.0 else 0.0))

@@ -8,13 +8,14 @@ from typing import Any
 
 from ..cli.settings import Settings, SettingsError, format_value, parse_assignment
 from .crops import Crop, CropError, make_crop, parse_crop
-from .methods import SHARED, Method, MethodError, check, parse_methods
+from .methods import SHARED, Method, MethodError, check, parse_methods, peer_methods
 from .suite import FIRST_SEED, SceneSpec, Suite, SuiteError, Work, make_works, whole
 
 SUITE_KEYS = {
     *(
         "about",
         "methods",
+        "peers",
         "baseline",
         "budget",
         "samples",
@@ -58,13 +59,14 @@ def build_suite(args: argparse.Namespace, defaults: Mapping[str, Any]) -> Suite:
 def assemble(
     spec: Mapping[str, Any], args: argparse.Namespace, scenes: list[SceneSpec], defaults: Mapping[str, Any]
 ) -> Suite:
-    methods = methods_of(args.methods or texts(spec, "methods"), defaults)
+    walks = methods_of(args.methods or texts(spec, "methods"), defaults)
+    methods = (*walks, *peer_methods(args.peers or texts(spec, "peers")))
     amounts = works(args, spec)
     made = mapping(spec, "reference", args.spec)
     known(made, {"samples", "method"}, "reference")
     reference, note = None, ""
     if not all(scene.reference for scene in scenes):
-        reference, note = reference_method(args.referenceMethod or made.get("method"), methods, defaults)
+        reference, note = reference_method(args.referenceMethod or made.get("method"), walks, defaults)
     return Suite(
         methods,
         args.baseline or spec.get("baseline") or methods[0].label,

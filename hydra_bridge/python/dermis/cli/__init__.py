@@ -5,10 +5,10 @@ import os
 import sys
 from collections.abc import Sequence
 
-from . import bench, explain, flatten, record
+from . import bench, explain, flatten, peers, record
 from .output import OutputError
 
-COMMANDS = (record, explain, flatten, bench)
+COMMANDS = (record, explain, flatten, bench, peers)
 
 INTERRUPTED = 130
 

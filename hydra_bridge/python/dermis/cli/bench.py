@@ -51,6 +51,13 @@ def add_suite_arguments(parser: argparse.ArgumentParser) -> None:
         help="subsurface walks with settings: [LABEL=]WALK[:NAME=VALUE...], as "
         "classical,mixture:normals=4,half=poe:classicalFraction=0.5; the names of --set",
     )
+    group.add_argument(
+        "--peers",
+        type=_names,
+        metavar="NAME[,NAME...]",
+        help="other renderers, rendered in turn with the methods: mitsuba (volpath), mitsuba-mis (volpathmis), "
+        "cycles; see `dermis peers`",
+    )
     group.add_argument("--baseline", metavar="LABEL", help="method that ratios refer to (default: the first)")
     group.add_argument(
         "--budget",
