@@ -170,7 +170,7 @@ impl CollisionLight<'_> {
     pub(super) fn add(&self, collision: &Collision, p: Vec3, u_choice: f32, u: Vec2, sample: &mut crate::film::Sample) {
         let Some(light) = self.scene.lights.sample(p, None, Choice::One, u_choice, u) else { return };
         let (phase, pdf) = (collision.scatter)(light.wi);
-        let hit = self.scene.closest_from_within(self.instance, collision.p, light.wi, light.reach());
+        let hit = self.scene.boundary_from_within(self.instance, collision.p, light.wi, light.reach());
         let visible = transmittance_beyond(self.scene, hit, light.wi, light.reach(), self.inside);
         let weight = if light.delta { 1.0 } else { power_heuristic(light.pdf, pdf) };
         let light = phase * visible * light.radiance * (weight / light.pdf);

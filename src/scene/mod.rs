@@ -115,34 +115,9 @@ impl Scene {
 
     /// Closest surface for 0 < t < `t_max`; `d` unit, render space.
     pub fn closest(&self, o: Vec3, d: Vec3, t_max: f32, origin: Origin) -> Option<SurfaceHit> {
-        self.closest_of(|_| true, o, d, t_max, origin)
-    }
-
-    /// [`Self::closest`] from a point `p` inside of `instance`, relative to its origin. Its own surface is met from
-    /// there: far from the camera, render space is coarser than a short mean free path.
-    pub fn closest_from_within(&self, instance: u32, p: Vec3, d: Vec3, t_max: f32) -> Option<SurfaceHit> {
-        let of = &self.instances[instance as usize];
-        let own = of.geometry.blas.closest_skip(&of.local_ray(p, d, t_max), u32::MAX);
-        let own = own.map(|hit| SurfaceHit { t: hit.t, instance, triangle: hit.triangle, u: hit.u, v: hit.v });
-        let before = own.map_or(t_max, |hit| hit.t);
-        self.closest_of(|i| i != instance, p + of.to_render.translation, d, before, None).or(own)
-    }
-
-    /// Among the instances that `wanted` says.
-    fn closest_of(
-        &self,
-        wanted: impl Fn(u32) -> bool,
-        o: Vec3,
-        d: Vec3,
-        t_max: f32,
-        origin: Origin,
-    ) -> Option<SurfaceHit> {
         let mut ray = Ray { o, d, t_max };
         let mut closest = None;
         self.tlas.traverse(&mut ray, |i, ray| {
-            if !wanted(i) {
-                return false;
-            }
             let instance = &self.instances[i as usize];
             let local = instance.local_ray(o - instance.to_render.translation, d, ray.t_max);
             if let Some(hit) = instance.geometry.blas.closest_skip(&local, skipped(origin, i)) {
@@ -152,6 +127,14 @@ impl Scene {
             false
         });
         closest
+    }
+
+    /// The boundary of `instance` from a point `p` within it, relative to its origin: far from the camera, render space
+    /// is coarser than a short mean free path. As walks, it does not see what else is in there.
+    pub fn boundary_from_within(&self, instance: u32, p: Vec3, d: Vec3, t_max: f32) -> Option<SurfaceHit> {
+        let of = &self.instances[instance as usize];
+        let hit = of.geometry.blas.closest_skip(&of.local_ray(p, d, t_max), u32::MAX)?;
+        Some(SurfaceHit { t: hit.t, instance, triangle: hit.triangle, u: hit.u, v: hit.v })
     }
 
     /// Whether any surface is met for 0 < t < `t_max`.
