@@ -96,7 +96,7 @@ SHAPES = (
     Shape("flipped", lambda: flipped(sphere()), quick=True),
     Shape("every other face flipped", lambda: half_flipped()),
     Shape("self-intersecting: two spheres across each other", lambda: two(0.3)),
-    Shape("every face twice", lambda: two(0.0)),
+    Shape("every face twice", lambda: two(0.0), quick=True),
     Shape("every face twice, one of them flipped", lambda: joined(sphere(), flipped(sphere()))),
     Shape("shell with a hollow", lambda: joined(sphere(), flipped(sphere(24, 0.6))), quick=True),
     Shape(

@@ -17,7 +17,7 @@ from .scenes import Prim
 
 THREADS = 0
 """Of every render; 0: all."""
-BUDGET = 8.0
+BUDGET = 5.0
 """Seconds that a render may take for the sake of precision, about."""
 WAIT = 600.0
 """Seconds after which a render is given up."""
