@@ -269,8 +269,14 @@ def kappas() -> Iterator[Case]:
                 picture, expected = lit_plate(albedo, tau, behind, samples=256, walk=walk, **settings)
                 kappa = "0.001" if albedo == 1.0 else "1 - 2^-24"
                 stressed = f"kappa {kappa}: {walk}, albedo {albedo:g}, optical thickness {tau:g}"
-                yield measured(picture, FAMILY, stressed, SLAB, expected, tolerance=1e-5 * expected)
+                tolerance = 1e-5 * expected
+                yield measured(
+                    picture, FAMILY, stressed, SLAB, expected, tolerance=tolerance, resolution=0.05
+                )
 
+            # Normals of the lit side only: where light is behind, few walks find it, with weights of any size.
+            if (albedo, tau) == (0.05, 10.0) and walk in ("poe", "cp"):
+                continue
             yield Case(f"kappa, {walk}, albedo {albedo:g}, {tau:g}", rows, quick=walk == "mixture")
 
 

@@ -147,7 +147,9 @@ def inside_lights() -> Iterator[Case]:
             limit = None if boundary == "indexMatched" else dark
             picture = render(prims, 48, 16) if limit else resolving(prims, expected, 32, 64, alike=False)
             stressed = f"light inside, {boundary}, albedo 1"
-            yield measured(picture, FAMILY, stressed, source, expected, limit=limit, alike=False)
+            yield measured(
+                picture, FAMILY, stressed, source, expected, limit=limit, alike=False, resolution=0.1
+            )
 
         yield Case(f"light inside, {boundary}", rows_, quick=boundary == "indexMatched")
 
@@ -203,8 +205,8 @@ def neighbours() -> Iterator[Case]:
     apart = box((-2, -1, -1), (-1e-4, 1, 1)), boxes[1]
     for boundary, losses in (
         ("diffuse", (-0.16, -0.32)),
-        ("indexMatched", (-0.26, -0.34)),
-        ("dielectric", (-0.27, -0.34)),
+        ("indexMatched", (-0.19, -0.34)),
+        ("dielectric", (-0.23, -0.34)),
     ):
         overlapping, touching = losses
         for name, pair, limit in (
@@ -219,8 +221,9 @@ def neighbours() -> Iterator[Case]:
                 pair: tuple[Prim, Prim] = pair,
                 limit: Limit | None = limit,
             ) -> Iterator[Row]:
-                prims = body(pair[0], medium(1.0, 0.2, boundary))
-                prims |= {"/I": {**pair[1], "material": "/N"}, "/N": medium(1.0, 0.05, boundary)}
+                ior = 1.4 if boundary == "dielectric" else 1.0
+                prims = body(pair[0], medium(1.0, 0.2, boundary, ior=ior))
+                prims |= {"/I": {**pair[1], "material": "/N"}, "/N": medium(1.0, 0.05, boundary, ior=ior)}
                 # Paths that go from one to the other and back are long; twelve bounces cut a few of them.
                 picture = render(prims, 32, 64) if limit else resolving(prims, 1.0, 16, maxDepth=64)
                 yield measured(
