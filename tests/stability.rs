@@ -288,9 +288,11 @@ fn tests_of(way: Way, row: &Row, found: [Estimate; 2]) -> Vec<(String, f64)> {
 }
 
 const FAR: Way = Way::Exact { normals: 2, classical: 0.1, guided_first: true };
+/// Weighted as a mixture, of the classical technique alone: others take part of a wrong distance back.
+const UNGUIDED: Way = Way::Exact { normals: 0, classical: 1.0, guided_first: true };
 const CLASSICAL: Way = Way::Conditional { normal: Vec3::Z, first_distance: true, classical: 1.0 };
 
-/// Slabs that no picture sees through: transmitted down to 1e-23, and white ones a thousand mean free paths thick.
+/// Slabs that no picture sees through: reflected and transmitted, and white ones a thousand mean free paths thick.
 #[test]
 #[ignore = "a minute; make stability runs it"]
 fn thick_slabs() {
@@ -299,7 +301,7 @@ fn thick_slabs() {
     {
         let medium = gray(row);
         for (name, way) in [("exact", FAR), ("classical", CLASSICAL)] {
-            let deep = row.t < if name == "exact" { 1e-30 } else { 1e-4 };
+            let deep = row.t < if name == "exact" { 1e-6 } else { 1e-4 };
             let walks = if row.tau > 500.0 && row.alpha > 0.99 { 1 << 15 } else { 1 << 17 };
             let found = fluxes(way, row, &medium, walks, 5);
             for (face, expected) in [("reflected", row.r), ("transmitted", row.t)] {
@@ -349,23 +351,22 @@ fn mistaken(mistake: &str, mut medium: GuidedMedium) -> GuidedMedium {
 fn deliberate_mistakes_are_caught() {
     let rows: Vec<Row> = stability_rows()
         .into_iter()
-        .filter(|row| {
-            row.eta == 1.0 && row.g == 0.0 && [1.0, 10.0].contains(&row.tau) && [0.9, 0.99].contains(&row.alpha)
-        })
+        .filter(|row| row.eta == 1.0 && row.g == 0.0 && row.tau == 1.0 && [0.5, 0.9, 0.99].contains(&row.alpha))
         .collect();
-    assert_eq!(rows.len(), 4);
+    assert_eq!(rows.len(), 3);
     let conditional = Way::Conditional { normal: Vec3::Z, first_distance: true, classical: 0.0 };
     for (mistake, way) in [
         ("none", conditional),
         ("none", FAR),
         ("none", CLASSICAL),
+        ("none", UNGUIDED),
         ("direction pdf x 1.02", conditional),
-        ("distance pdf x 1.02", FAR),
+        ("distance pdf x 1.02", UNGUIDED),
         ("albedo x 0.98", conditional),
         ("albedo x 0.98", FAR),
         ("albedo x 0.98", CLASSICAL),
     ] {
-        let of_row = |row: &Row| tests_of(way, row, fluxes(way, row, &mistaken(mistake, gray(row)), 1 << 17, 3));
+        let of_row = |row: &Row| tests_of(way, row, fluxes(way, row, &mistaken(mistake, gray(row)), 1 << 19, 3));
         let tests: Vec<(String, f64)> = rows.iter().flat_map(of_row).collect();
         let (failed, total) = (failures(&tests), tests.len());
         report(

@@ -176,7 +176,7 @@ def grazing() -> Iterator[Case]:
             material = medium(ALBEDO, radius, "indexMatched")
             prims = body(DEEP, material, camera((0, 0, 8), 0.1), [sun(degrees)])
             # At the lowest sun, one collision in ten thousand sees it.
-            hard = 0.1 if degrees > 89.5 else 0.03
+            hard = 0.35 if degrees > 89.5 else 0.05
             picture = render(prims, samples=1024) if limit else resolving(prims, expected, samples=256)
             source = "half-space of matched index (Chandrasekhar)"
             stressed = f"sun at {degrees:g} degrees, matched, mean free path {radius:g}"
