@@ -151,7 +151,7 @@ def inside_lights() -> Iterator[Case]:
                 picture, FAMILY, stressed, source, expected, limit=limit, alike=False, resolution=0.1
             )
 
-        yield Case(f"light inside, {boundary}", rows_, quick=boundary == "indexMatched")
+        yield Case(f"light inside, {boundary}", rows_)
 
 
 def nested() -> Iterator[Case]:
