@@ -12,7 +12,7 @@ SOURCES := pyproject.toml Cargo.toml Cargo.lock \
 # pyo3 asks this interpreter for its build settings, also under clippy and rustdoc.
 export PYO3_PYTHON := $(CURDIR)/$(BIN)/python
 
-.PHONY: render test lint format clean
+.PHONY: render test stability lint format clean
 .DELETE_ON_ERROR:
 
 render: $(INSTALLED)
@@ -22,6 +22,10 @@ render: $(INSTALLED)
 test: $(TEST_INSTALLED) lint
 	cargo test --release
 	$(BIN)/python -m pytest
+
+# The hard cases, some minutes: out/stability.html and out/stability.csv.
+stability: $(TEST_INSTALLED)
+	PYTHONPATH=tests $(BIN)/python -m stability --out out
 
 lint: $(TEST_INSTALLED)
 	cargo fmt --all --check

@@ -1,8 +1,9 @@
 //! Which walk each medium takes, and why.
 
+use crate::bsdf::Boundary;
 use crate::flat::RenderSettings;
 use crate::medium::Medium;
-use crate::scene::Scene;
+use crate::scene::{Interior, Scene};
 use serde::Serialize;
 
 /// A walk by what its slab normals come from.
@@ -43,11 +44,12 @@ impl Plan {
 /// Mean free paths across the object below which most light crosses it without a collision to guide.
 const THIN: f32 = 1.0;
 
-/// A plan for every surface with a scattering medium.
+/// A plan for every surface whose medium is walked: one that scatters, or only absorbs behind a diffuse boundary.
 pub fn plans(scene: &Scene, settings: &RenderSettings) -> Vec<Option<Plan>> {
     let mut plans: Vec<Option<Plan>> = vec![None; scene.surfaces.len()];
     for (index, coating) in scene.surfaces.iter().enumerate() {
-        let Some(interior) = coating.interior.filter(|interior| interior.medium.scatters()) else { continue };
+        let walked = |interior: &Interior| interior.medium.scatters() || interior.boundary == Boundary::Diffuse;
+        let Some(interior) = coating.interior.filter(walked) else { continue };
         let Some(owner) = scene.owner(index) else { continue };
         plans[index] = Some(plan(settings, &interior.medium, owner.thickness(), scene.is_lit()));
     }
@@ -56,6 +58,13 @@ pub fn plans(scene: &Scene, settings: &RenderSettings) -> Vec<Option<Plan>> {
 
 fn plan(settings: &RenderSettings, medium: &Medium, thickness: f32, lit: bool) -> Plan {
     let asked = |walk, exact| Plan { walk, exact, why: format!("walk={} asked for", settings.walk) };
+    if !medium.scatters() {
+        return Plan {
+            walk: Walk::Classical,
+            exact: false,
+            why: "it only absorbs, so there is nothing to guide".into(),
+        };
+    }
     let exact = settings.walk_pdf != "conditional";
     match settings.walk.as_str() {
         "classical" => asked(Walk::Classical, false),

@@ -10,7 +10,7 @@ use crate::light::{Choice, LightSample, ShapeHit};
 use crate::math::Rgb;
 use crate::sampling::power_heuristic;
 use crate::sampling::sampler::Sampler;
-use crate::scene::{Origin, Scene};
+use crate::scene::{Origin, Scene, SurfaceHit};
 use crate::subsurface::walk::Collision;
 use glam::{Vec2, Vec3};
 
@@ -157,6 +157,8 @@ fn seen_from(p: Vec3, o: Vec3, d: Vec3, hit: &ShapeHit) -> ShapeHit {
 #[derive(Clone, Copy)]
 pub(super) struct CollisionLight<'a> {
     pub scene: &'a Scene,
+    /// The object that the collision is in.
+    pub instance: u32,
     pub inside: Nest,
     /// Path throughput per unit of the walk's weight.
     pub scale: f32,
@@ -168,7 +170,8 @@ impl CollisionLight<'_> {
     pub(super) fn add(&self, collision: &Collision, p: Vec3, u_choice: f32, u: Vec2, sample: &mut crate::film::Sample) {
         let Some(light) = self.scene.lights.sample(p, None, Choice::One, u_choice, u) else { return };
         let (phase, pdf) = (collision.scatter)(light.wi);
-        let visible = transmittance(self.scene, p, light.wi, light.reach(), None, self.inside);
+        let hit = self.scene.boundary_from_within(self.instance, collision.p, light.wi, light.reach());
+        let visible = transmittance_beyond(self.scene, hit, light.wi, light.reach(), self.inside);
         let weight = if light.delta { 1.0 } else { power_heuristic(light.pdf, pdf) };
         let light = phase * visible * light.radiance * (weight / light.pdf);
         add_to(sample, self.bucket, self.scale * collision.weight * light);
@@ -181,19 +184,23 @@ pub(super) fn transmittance(scene: &Scene, o: Vec3, d: Vec3, t_max: f32, origin:
     if !scene.needs.transparency && inside.medium().is_none() {
         return if scene.occluded(o, d, t_max, origin) { Rgb::ZERO } else { Rgb::ONE };
     }
-    let (mut o, mut left, mut origin, mut inside) = (o, t_max, origin, inside);
+    transmittance_beyond(scene, scene.closest(o, d, t_max, origin), d, t_max, inside)
+}
+
+/// [`transmittance`] of a ray whose first surface is `hit`.
+fn transmittance_beyond(scene: &Scene, mut hit: Option<SurfaceHit>, d: Vec3, t_max: f32, mut inside: Nest) -> Rgb {
+    let mut left = t_max;
     let mut passed = Rgb::ONE;
     for _ in 0..MAX_LAYERS {
-        let hit = scene.closest(o, d, left, origin);
         passed *= inside.transmittance(hit.map_or(left, |hit| hit.t));
-        let Some(hit) = hit else { return passed };
-        let within = inside.contains(hit.instance);
-        let si = scene.interaction(&hit, d, if within { Side::Inside } else { Side::Outside });
+        let Some(at) = hit else { return passed };
+        let within = inside.contains(at.instance);
+        let si = scene.interaction(&at, d, if within { Side::Inside } else { Side::Outside });
         let coating = &scene.surfaces[si.surface as usize];
         match coating.interior.filter(|interior| interior.boundary == Boundary::IndexMatched) {
-            Some(_) if within => inside = inside.left(hit.instance),
+            Some(_) if within => inside = inside.left(at.instance),
             Some(interior) => {
-                let object = Inside { instance: hit.instance, medium: Some(interior.medium) };
+                let object = Inside { instance: at.instance, medium: Some(interior.medium) };
                 let Some(nest) = inside.entered(object) else { return Rgb::ZERO };
                 inside = nest;
             }
@@ -202,9 +209,8 @@ pub(super) fn transmittance(scene: &Scene, o: Vec3, d: Vec3, t_max: f32, origin:
         if passed.max_element() <= 0.0 {
             return Rgb::ZERO;
         }
-        o = si.origin(d);
-        left -= hit.t;
-        origin = Some((hit.instance, hit.triangle));
+        left -= at.t;
+        hit = scene.closest(si.origin(d), d, left, Some((at.instance, at.triangle)));
     }
     Rgb::ZERO
 }

@@ -90,7 +90,8 @@ impl<'a> Path<'a> {
             Boundary::IndexMatched => {
                 let medium = Some(passage.medium.medium);
                 let inside = self.enter(Inside { instance: passage.instance, medium })?;
-                let light = CollisionLight { scene: self.scene, inside, scale, bucket: self.bucket };
+                let (scene, instance) = (self.scene, passage.instance);
+                let light = CollisionLight { scene, instance, inside, scale, bucket: self.bucket };
                 self.walk::<true>(passage, start, scale, Some(light), sampler)
             }
             _ => self.walk::<false>(passage, start, scale, None, sampler),

@@ -6,8 +6,8 @@ use super::shaping::{Shaping, angle_between};
 use crate::{flat, math::Rgb};
 use glam::Vec3;
 
-/// Radiance above which products with pdfs leave the range of f32.
-pub const RADIANCE_LIMIT: f64 = 1e30;
+/// Radiance above which products with pdfs leave the range of f32. As f32 has it, so that 1e30 itself may be authored.
+pub const RADIANCE_LIMIT: f64 = 1e30_f32 as f64;
 
 /// Radiance of a light before its texture.
 #[derive(Debug, Clone, PartialEq)]

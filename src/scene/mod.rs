@@ -129,6 +129,14 @@ impl Scene {
         closest
     }
 
+    /// The boundary of `instance` from a point `p` within it, relative to its origin: far from the camera, render space
+    /// is coarser than a short mean free path. As walks, it does not see what else is in there.
+    pub fn boundary_from_within(&self, instance: u32, p: Vec3, d: Vec3, t_max: f32) -> Option<SurfaceHit> {
+        let of = &self.instances[instance as usize];
+        let hit = of.geometry.blas.closest_skip(&of.local_ray(p, d, t_max), u32::MAX)?;
+        Some(SurfaceHit { t: hit.t, instance, triangle: hit.triangle, u: hit.u, v: hit.v })
+    }
+
     /// Whether any surface is met for 0 < t < `t_max`.
     pub fn occluded(&self, o: Vec3, d: Vec3, t_max: f32, origin: Origin) -> bool {
         let mut occluded = false;

@@ -126,6 +126,14 @@ impl<'a, E: Enclosure> Steps<'a, E> {
         if step.is_finite() && self.enclosure.bounds_contain(self.p) { Step::Collision } else { Step::Leaked }
     }
 
+    /// First crossing beyond the margin: rounding may have put the entry outside of the triangles about its own, and their
+    /// outer side is no way out.
+    fn cast_inward(&self, p: Vec3, d: Vec3, t: f32) -> Option<(f32, E::Hit)> {
+        let margin = MARGIN * self.error;
+        let (t, hit) = self.enclosure.cast(p + margin * d, d, t - margin, Some(self.start.hit))?;
+        Some((t + margin, hit))
+    }
+
     /// First crossing for a segment that starts within `reach` of the entry, where the surface is its tangent
     /// plane and the depth below it is known from the displacement `moved` better than from the position.
     fn crossing_near_entry(&self, d: Vec3, t: f32, reach: f32) -> Option<(f32, E::Hit)> {
@@ -133,7 +141,7 @@ impl<'a, E: Enclosure> Steps<'a, E> {
         let approach = d.dot(start.normal);
         let p = start.p + self.moved;
         if approach <= 0.0 {
-            return if t < reach { None } else { self.enclosure.cast(p, d, t, Some(start.hit)) };
+            return if t < reach { None } else { self.cast_inward(p, d, t) };
         }
         let t_plane = (-self.moved.dot(start.normal) / approach).max(0.0);
         let plane = (t_plane <= t).then_some((t_plane, start.hit));

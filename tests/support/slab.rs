@@ -122,6 +122,11 @@ pub fn guided_rows() -> Vec<Row> {
     parse(include_str!("../reference/slab.csv"), [5, 6])
 }
 
+/// The table of the stability rows, tests/stability/reference.csv.
+pub fn stability_rows() -> Vec<Row> {
+    parse(include_str!("../stability/reference.csv"), [5, 6])
+}
+
 /// Rows of a table with R and T in the given columns.
 fn parse(text: &str, [r, t]: [usize; 2]) -> Vec<Row> {
     let row = |line: &str| {
@@ -145,15 +150,18 @@ pub fn z_limit(tests: usize) -> f64 {
     (2.0 * (2.0 * tests as f64 / 1e-3).ln()).sqrt()
 }
 
-/// The verdict over many z-tests together, each with what it tests: says the worst, and panics with all that fail.
+/// Those of many z-tests together that fail, each with what it tests.
+pub fn failures(tests: &[(String, f64)]) -> Vec<String> {
+    let limit = z_limit(tests.len());
+    let failed = tests.iter().filter(|(_, z)| z.is_nan() || z.abs() >= limit);
+    failed.map(|(what, z)| format!("{what}: z {z:.1}")).collect()
+}
+
+/// The verdict over many z-tests together: says the worst, and panics with all that fail.
 pub fn judge(name: &str, tests: Vec<(String, f64)>) {
     let limit = z_limit(tests.len());
     let worst = tests.iter().map(|(_, z)| z.abs()).fold(0.0, f64::max);
     eprintln!("{name}: worst |z| {worst:.2} of {} (limit {limit:.2})", tests.len());
-    let failed: Vec<String> = tests
-        .iter()
-        .filter(|(_, z)| z.is_nan() || z.abs() >= limit)
-        .map(|(what, z)| format!("{what}: z {z:.1}"))
-        .collect();
+    let failed = failures(&tests);
     assert!(failed.is_empty(), "{name}, {} of {}:\n{}", failed.len(), tests.len(), failed.join("\n"));
 }
