@@ -31,11 +31,11 @@ pub struct Exit {
 }
 
 impl Exit {
-    fn fit(own: &DirectionSums, around: &DirectionSums) -> Option<Self> {
+    fn fit(own: Option<&DirectionSums>, around: &DirectionSums) -> Option<Self> {
         let trust = |sums: &DirectionSums| sums.telling() / (sums.telling() + PRIOR);
-        let own_share = trust(own);
-        let directions = Directions::fit([(own, own_share), (around, 1.0 - own_share)])?;
-        Some(Self { directions, guided: (GUIDED * trust(around)) as f32 })
+        let own_share = own.map_or(0.0, trust);
+        let sums = own.map(|own| (own, own_share)).into_iter().chain([(around, 1.0 - own_share)]);
+        Some(Self { directions: Directions::fit(sums)?, guided: (GUIDED * trust(around)) as f32 })
     }
 
     /// Solid-angle pdf of the mixture towards `wi` (render space), `plain` being that of plain sampling.
@@ -58,8 +58,9 @@ impl Exit {
 pub struct Exits {
     cells: Cells,
     learned: Vec<Option<Exit>>,
-    /// Of each cell, and of the coarser one that it lies in.
-    sums: Vec<DirectionSums>,
+    /// Of each cell where light came out.
+    sums: Vec<Option<Box<DirectionSums>>>,
+    /// The coarser cell that each lies in.
     around: Vec<u32>,
     coarse: Vec<DirectionSums>,
 }
@@ -73,19 +74,18 @@ impl Exits {
         let mut new = Self {
             cells: cache.cells.clone(),
             learned: vec![None; count],
-            sums: vec![DirectionSums::default(); count],
+            sums: vec![None; count],
             around,
             coarse: vec![DirectionSums::default(); coarser.len()],
         };
-        let mut seen = vec![DirectionSums::default(); count];
         for record in records {
             if let (Some(cell), Some((wi, irradiance))) = (new.find(record.p, record.n), record.indirect) {
                 // Out of a diffuse boundary f / p is the radiance, here irradiance / pi by one cosine sample.
                 let pdf = cosine_hemisphere_pdf(wi.dot(record.n));
-                seen[cell as usize].add(wi, pdf, Rgb::splat(irradiance / PI));
+                let around = new.around[cell as usize] as usize;
+                new.coarse[around].add(wi, pdf, Rgb::splat(irradiance / PI));
             }
         }
-        (0..count).for_each(|cell| new.add(cell as u32, &seen[cell]));
         new.fit();
         new
     }
@@ -101,17 +101,18 @@ impl Exits {
 
     /// Takes in what was seen at `cell`; [`Self::fit`] makes use of it.
     pub fn add(&mut self, cell: u32, seen: &DirectionSums) {
-        self.sums[cell as usize].merge(seen);
+        self.sums[cell as usize].get_or_insert_default().merge(seen);
         self.coarse[self.around[cell as usize] as usize].merge(seen);
     }
 
     pub fn fit(&mut self) {
-        let fit = |cell: usize| Exit::fit(&self.sums[cell], &self.coarse[self.around[cell] as usize]);
+        let fit = |cell: usize| Exit::fit(self.sums[cell].as_deref(), &self.coarse[self.around[cell] as usize]);
         self.learned = (0..self.sums.len()).into_par_iter().map(fit).collect();
     }
 
     pub fn memory(&self) -> usize {
-        let sums = (self.sums.len() + self.coarse.len()) * size_of::<DirectionSums>();
-        self.cells.memory() + self.learned.len() * size_of::<Option<Exit>>() + sums
+        let sums = (self.sums.iter().flatten().count() + self.coarse.len()) * size_of::<DirectionSums>();
+        let slots = size_of::<Option<Exit>>() + size_of::<Option<Box<DirectionSums>>>() + size_of::<u32>();
+        self.cells.memory() + self.learned.len() * slots + sums
     }
 }

@@ -15,7 +15,7 @@ from conftest import stage_of
 
 pytest.importorskip("dermis._core", reason="the Rust core is not built")
 
-from test_bench import STAGE as BLOCK
+from bench_runs import STAGE as BLOCK
 
 from dermis import hydra
 from dermis._core import Delegate, single_scattering_albedo
@@ -411,7 +411,7 @@ def test_the_command_refuses_what_it_does_not_know(capsys):
 
 
 def test_peers_of_a_suite_do_not_choose_its_reference(tmp_path):
-    from test_bench import suite_of
+    from bench_runs import suite_of
 
     described = suite_of("a.usda", "--methods", "mixture", "--peers", "mitsuba,cycles", "--samples", 2)
     assert [(method.label, method.peer) for method in described.methods] == [
