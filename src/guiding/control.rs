@@ -22,11 +22,15 @@ const LEAST_SHARE: f32 = 0.02;
 /// Pseudo-walks of the ridge, per inverse share (control_variates.md, "what matters" 3).
 const RIDGE: f64 = 3.0;
 
+/// Share of a channel's variance that the controls must take away, beyond what chance does: they leave a channel alone
+/// where they do not pay.
+const LEAST_GAIN: f64 = 0.02;
+
 /// Walks from which a fit is tried: below it the coefficients add more noise than they remove.
 const LEAST_WALKS: f64 = 100.0;
 
 impl Controls {
-    /// Least squares of the estimates on the ratios; `None` where there is too little to go by.
+    /// Least squares of the estimates on the ratios; `None` where there is too little to go by, or nothing to gain.
     pub fn fit(sums: &ControlSums, shares: &PerTechnique) -> Option<Self> {
         if sums.walks < LEAST_WALKS {
             return None;
@@ -35,15 +39,21 @@ impl Controls {
         let used: Vec<usize> = (0..TECHNIQUES).filter(|&t| shares[t] >= LEAST_SHARE).collect();
         let factor = Cholesky::of(&covariance(sums, &used, &shares), used.len())?;
         let mut beta = [[0.0_f32; TECHNIQUES]; 3];
-        for (beta, (cross, estimate)) in beta.iter_mut().zip(sums.cross.iter().zip(sums.estimate)) {
-            let mean = estimate / sums.walks;
-            let right: Vec<f64> = used.iter().map(|&t| cross[t] - mean * sums.ratio[t]).collect();
-            for (t, b) in used.iter().zip(factor.solve(right)) {
-                beta[*t] = b as f32;
+        for c in 0..3 {
+            let mean = sums.estimate[c] / sums.walks;
+            let right: Vec<f64> = used.iter().map(|&t| sums.cross[c][t] - mean * sums.ratio[t]).collect();
+            let solved = factor.solve(right.clone());
+            let explained: f64 = solved.iter().zip(&right).map(|(b, r)| b * r).sum();
+            let total = sums.squares[c] - mean * sums.estimate[c];
+            // A fit of noise explains its degrees of freedom, and costs as much again on new walks (Mallows' C_p).
+            let by_chance = 2.0 * used.len() as f64 / sums.walks;
+            if explained > (by_chance + LEAST_GAIN) * total {
+                used.iter().zip(solved).for_each(|(&t, b)| beta[c][t] = b as f32);
             }
         }
         let sum = Rgb::from_array([0, 1, 2].map(|c| beta[c].iter().sum()));
-        (sum.is_finite()).then(|| Self { beta: beta.map(|b| PerTechnique::from_list(&b)), sum })
+        let pays = beta.as_flattened().iter().any(|b| *b != 0.0);
+        (pays && sum.is_finite()).then(|| Self { beta: beta.map(|b| PerTechnique::from_list(&b)), sum })
     }
 
     /// sum_t beta_t (r_t - 1) per channel: to be subtracted from the estimate.
@@ -130,5 +140,12 @@ mod tests {
             assert!((left - means).abs().max_element() < 0.02, "{left}");
         }
         assert!(Controls::fit(&ControlSums::default(), &shares).is_none());
+        // Estimates that do not know of the ratios are left alone.
+        let mut noise = ControlSums::default();
+        (0..20_000_u32).for_each(|i| {
+            let coin = (f64::from(i) * 0.414_213_562_37).fract() as f32;
+            noise.add(&walk(i).0, Rgb::splat(if coin < 0.1 { 10.0 } else { 0.0 }));
+        });
+        assert!(Controls::fit(&noise, &shares).is_none());
     }
 }

@@ -33,6 +33,7 @@ pub struct Sums {
 pub struct ControlSums {
     pub walks: f64,
     pub estimate: [f64; 3],
+    pub squares: [f64; 3],
     pub ratio: [f64; TECHNIQUES],
     pub products: [f64; PRODUCTS],
     pub cross: [[f64; TECHNIQUES]; 3],
@@ -55,6 +56,7 @@ impl Default for ControlSums {
         Self {
             walks: 0.0,
             estimate: [0.0; 3],
+            squares: [0.0; 3],
             ratio: [0.0; TECHNIQUES],
             products: [0.0; PRODUCTS],
             cross: [[0.0; TECHNIQUES]; 3],
@@ -108,6 +110,7 @@ impl ControlSums {
         for c in 0..3 {
             let x = f64::from(estimate[c]);
             self.estimate[c] += x;
+            self.squares[c] += x * x;
             self.cross[c].iter_mut().zip(&r).for_each(|(sum, r)| *sum += x * r);
         }
     }
@@ -115,6 +118,7 @@ impl ControlSums {
     pub fn merge(&mut self, other: &ControlSums) {
         self.walks += other.walks;
         add(&mut self.estimate, &other.estimate);
+        add(&mut self.squares, &other.squares);
         add(&mut self.ratio, &other.ratio);
         add(&mut self.products, &other.products);
         add(self.cross.as_flattened_mut(), other.cross.as_flattened());
@@ -122,7 +126,7 @@ impl ControlSums {
 
     pub fn fade(&mut self, by: f64) {
         self.walks *= by;
-        let sums = self.estimate.iter_mut().chain(&mut self.ratio).chain(&mut self.products);
+        let sums = self.estimate.iter_mut().chain(&mut self.squares).chain(&mut self.ratio).chain(&mut self.products);
         sums.chain(self.cross.as_flattened_mut()).for_each(|x| *x *= by);
     }
 }

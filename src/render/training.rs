@@ -32,6 +32,9 @@ const ENOUGH_SAMPLES: u32 = 64;
 
 const RECORDS: std::ops::RangeInclusive<u64> = 8_000..=400_000;
 
+/// Of a boundary among others, however small.
+const LEAST_RECORDS: u32 = 256;
+
 /// Pixels across a cell: some hundred walks start there within the first passes (mixture_3d.md section 5).
 const PIXELS: f32 = 6.0;
 
@@ -51,9 +54,13 @@ const CELL_RANGE: [f32; 2] = [1.0 / 128.0, 1.0 / 4.0];
 pub fn train(scene: &Scene, settings: &RenderSettings, guide: &mut Guide) -> (PathStats, u64) {
     let mut stats = PathStats::default();
     let mut records = 0;
-    for instance in 0..scene.instances.len() as u32 {
-        let Some(boundary) = BoundaryOf::new(scene, guide, instance) else { continue };
-        let count = record_count(scene, settings);
+    let boundaries: Vec<BoundaryOf> =
+        (0..scene.instances.len() as u32).filter_map(|instance| BoundaryOf::new(scene, guide, instance)).collect();
+    let sizes: Vec<f64> = boundaries.iter().map(BoundaryOf::apparent_size).collect();
+    let all: f64 = sizes.iter().sum();
+    for (boundary, size) in boundaries.iter().zip(sizes) {
+        // A body that fills the frame has most of them, a tooth its share.
+        let count = ((f64::from(record_count(scene, settings)) * size / all) as u32).max(LEAST_RECORDS);
         let (found, seen) = match settings.cache_fill.as_str() {
             "camera" => boundary.records_by_walks(guide, settings, count),
             _ => boundary.records_by_area(guide, settings.seed, count),
@@ -61,7 +68,7 @@ pub fn train(scene: &Scene, settings: &RenderSettings, guide: &mut Guide) -> (Pa
         stats.add(&seen);
         records += found.len() as u64;
         let field = Field::build(&found, &boundary.medium, boundary.field_settings(settings, guide, found.len()));
-        guide.fields[instance as usize] = Some(field);
+        guide.fields[boundary.instance as usize] = Some(field);
     }
     (stats, records)
 }
@@ -117,6 +124,13 @@ impl<'a> BoundaryOf<'a> {
             areas,
             outward: if volume < 0.0 { -1.0 } else { 1.0 },
         })
+    }
+
+    /// Area over the squared distance from the camera, which is no nearer than the body is large.
+    fn apparent_size(&self) -> f64 {
+        let of = &self.scene.instances[self.instance as usize];
+        let distance = of.to_render.translation.length().max(of.half_size().length());
+        self.areas.sum() / f64::from(distance * distance).max(f64::MIN_POSITIVE)
     }
 
     /// Records at points uniform over the surface.

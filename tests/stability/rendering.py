@@ -17,8 +17,9 @@ from .scenes import Prim
 
 THREADS = 0
 """Of every render; 0: all."""
-BUDGET = 5.0
-"""Seconds that a render may take for the sake of precision, about."""
+BUDGET = 4e7
+"""Rays, walk steps included, that a render may take for the sake of precision, about: some seconds. A count and no time,
+so that a row is the same on every machine."""
 WAIT = 600.0
 """Seconds after which a render is given up."""
 
@@ -82,7 +83,7 @@ def resolving(
     if more <= 1.0 and not blind:
         return pilot
     more = math.inf if blind else more
-    affordable = max(1.0, BUDGET / max(pilot.seconds, 0.02))
+    affordable = max(1.0, BUDGET / max(pilot.stats["rays"]["total"], 1))
     count = min(1 << 20, math.ceil(samples * min(more, affordable)))
     return render(prims, size, count, seed=1, **settings)
 
