@@ -18,8 +18,8 @@ from .scenes import Prim
 THREADS = 0
 """Of every render; 0: all."""
 BUDGET = 4e7
-"""Rays, walk steps included, that a render may take for the sake of precision, about: some seconds. A count and no time,
-so that a row is the same on every machine."""
+"""Rays, walk steps included, that a render may take for the sake of precision, about: some seconds. A count and no
+time, so that a row is the same on every machine."""
 WAIT = 600.0
 """Seconds after which a render is given up."""
 
