@@ -290,7 +290,8 @@ fn controls_keep_the_mean() {
             let (estimate, ratios) = walk(2 * seed as u32, i);
             sums.add(&ratios, estimate);
         }
-        let controls = Controls::fit(&sums, &way.techniques().shares).expect("a fit");
+        // Where they do not pay there are none.
+        let Some(controls) = Controls::fit(&sums, &way.techniques().shares) else { return Vec::new() };
         let (mut plain, mut left, mut taken) = (Estimate::default(), Estimate::default(), Estimate::default());
         for i in 0..WALKS {
             let (estimate, ratios) = walk(2 * seed as u32 + 1, i);
@@ -303,11 +304,15 @@ fn controls_keep_the_mean() {
         let label = format!("{way:?} g {g} alpha {alpha} tau {tau}");
         eprintln!("{label}: variance {:.2e} with controls {:.2e}", variance(plain), variance(left));
         assert!(variance(left) < 1.02 * variance(plain), "{label}");
-        [("plain", plain, expected), ("controls", left, expected), ("correction", taken, 0.0)].map(
-            |(what, e, expected)| (format!("{label} {what}: {} of {expected}", e.mean().x), e.z_of(0, expected, 0.0)),
-        )
+        let means = [("plain", plain, expected), ("controls", left, expected), ("correction", taken, 0.0)];
+        let z = |(what, e, expected): (&str, Estimate, f64)| {
+            (format!("{label} {what}: {} of {expected}", e.mean().x), e.z_of(0, expected, 0.0))
+        };
+        means.into_iter().map(z).collect()
     };
-    judge("controls", cases.par_iter().enumerate().map(case).flatten().collect());
+    let tests: Vec<(String, f64)> = cases.par_iter().enumerate().map(case).flatten().collect();
+    assert!(tests.len() >= 3 * cases.len() * 3 / 4, "controls pay in {} of {} cases", tests.len() / 3, cases.len());
+    judge("controls", tests);
 }
 
 /// Walks of one technique and classical ones agree on everything that both see, through slabs so thick that the mean
