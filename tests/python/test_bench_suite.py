@@ -217,7 +217,9 @@ def test_rigs_are_described_for_the_stages_that_exist(shared_scenes):
     from pxr import Usd
 
     for scene in read.scenes:
-        assert scene.stage.resolve().parent == (RIGS.parent if scene.name == "orc" else shared_scenes).resolve()
+        assert (
+            scene.stage.resolve().parent == (RIGS.parent if scene.name == "orc" else shared_scenes).resolve()
+        )
         opened = Usd.Stage.Open(str(scene.stage))
         for path, value in scene.overrides.items():
             assert opened.GetAttributeAtPath(path).Get() != value
