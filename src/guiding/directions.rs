@@ -189,6 +189,6 @@ mod tests {
         let z = ((chi2 / freedom).cbrt() - (1.0 - spread)) / spread.sqrt();
         assert!(z < 4.5, "chi-square {chi2}, z {z}");
         let ratio = area / f64::from(COUNT) / (2.0 * std::f64::consts::TAU);
-        assert!((ratio - 1.0).abs() < 0.02, "{ratio}");
+        assert!((ratio - 1.0).abs() < 0.01, "{ratio}");
     }
 }
