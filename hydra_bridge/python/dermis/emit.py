@@ -12,6 +12,7 @@ from .light import flatten_light
 from .material import flatten_material
 from .mesh import MESH_TYPES, flatten_mesh, flatten_subsets
 from .reading import Reader
+from .skel import Skins
 from .walk import Found, Frame, canonical_path
 
 Prim = dict[str, Any]
@@ -24,6 +25,7 @@ class Emitter:
         self.reader = reader
         self.binding_purpose = binding_purpose
         self.domes_visible = domes_visible
+        self.skins = Skins(reader)
         self.prims: dict[str, Prim] = {}
         self.textures: dict[str, Prim] = {}
         # Instancers that place a mesh at all.
@@ -71,7 +73,7 @@ class Emitter:
 
     def mesh(self, found: Found) -> Prim | None:
         """The mesh without its place; its bindings are noted for `bind`."""
-        fields = flatten_mesh(found.prim, found.kind, self.reader, found.context.inherited())
+        fields = flatten_mesh(found.prim, found.kind, self.reader, found.context.inherited(), self.skins)
         if fields is None:
             return None
         mesh = {"type": "Mesh", "visible": found.context.visible, "material": "", "instancer": "", **fields}

@@ -8,6 +8,7 @@ from pxr import Usd, UsdGeom
 
 from .implicit import IMPLICIT_TYPES, tessellate
 from .reading import Reader
+from .skel import Skins
 
 PRIMVARS = {"st": ("st", 2), "displayColor": ("displayColor", 3), "displayOpacity": ("displayOpacity", 1)}
 """Primvar -> field of Mesh, components."""
@@ -18,11 +19,15 @@ Inherited = Mapping[str, UsdGeom.Primvar]
 """Constant primvars of the ancestors by name."""
 
 
-def flatten_mesh(prim: Usd.Prim, kind: str, reader: Reader, inherited: Inherited) -> dict[str, Any] | None:
+def flatten_mesh(
+    prim: Usd.Prim, kind: str, reader: Reader, inherited: Inherited, skins: Skins
+) -> dict[str, Any] | None:
     """Fields of `flat::Mesh` except transform, visibility and material; None where there is nothing to
     render."""
     if kind == "Mesh":
         mesh = polygons(prim, reader)
+        if mesh is not None:
+            skins.deform(prim, mesh)
     elif (surface := tessellate(prim, kind, reader)) is not None:
         mesh = {"orientation": "rightHanded", "subdivisionScheme": "none", **surface}
     else:
