@@ -66,8 +66,8 @@ pub struct Guide {
     pub plans: Vec<Option<Plan>>,
     /// By surface.
     media: Vec<Option<GuidedMedium>>,
-    /// By instance; `None`: nothing to know about its boundary.
-    pub fields: Vec<Option<Field>>,
+    /// By instance; `None`: nothing to know about its boundary. Boxed: of a million instances few have one.
+    pub fields: Vec<Option<Box<Field>>>,
     pub exit_lights: ExitLights,
     /// Samples of each light where all are sampled at an exit.
     light_samples: u32,
@@ -187,7 +187,7 @@ impl Guide {
 
     /// Whether walks have anything to teach.
     pub fn learns(&self) -> bool {
-        self.fields.iter().flatten().any(Field::learns)
+        self.fields.iter().flatten().any(|field| field.learns())
     }
 
     /// Takes in the statistics of a pass.
@@ -208,11 +208,11 @@ impl Guide {
 
     /// Regions of all fields, and those of them that are lit.
     pub fn counts(&self) -> [usize; 2] {
-        self.fields.iter().flatten().map(Field::counts).fold([0, 0], |a, b| [a[0] + b[0], a[1] + b[1]])
+        self.fields.iter().flatten().map(|field| field.counts()).fold([0, 0], |a, b| [a[0] + b[0], a[1] + b[1]])
     }
 
     pub fn memory(&self) -> usize {
-        self.fields.iter().flatten().map(Field::memory).sum()
+        self.fields.iter().flatten().map(|field| field.memory()).sum()
     }
 }
 

@@ -21,17 +21,22 @@ const R2: Vec2 = Vec2::new(0.754_877_7, 0.569_840_3);
 const MAX_LAYERS: u32 = 256;
 
 impl Path<'_> {
-    /// Adds the light shapes crossed before `t_max`. They occlude nothing, so all of them count.
+    /// Adds the light shapes crossed before `t_max`.
     pub(super) fn meet_light_shapes(&mut self, t_max: f32) {
+        self.meet_light_shapes_along(self.o, self.d, t_max, self.inside);
+    }
+
+    /// Adds the light shapes crossed along (o, d) before `t_max`, amid the objects `inside`. They occlude nothing, so all
+    /// of them count.
+    pub(super) fn meet_light_shapes_along(&mut self, o: Vec3, d: Vec3, t_max: f32, inside: Nest) {
         let scene = self.scene;
-        let (o, d) = (self.o, self.d);
         scene.light_shapes(o, d, t_max, |light, hit| {
             let weight = self.light_weight(
                 |p, n, choice| scene.lights.pdf_hit(light, p, n, choice, d, &seen_from(p, o, d, hit)),
                 light,
             );
             let radiance = scene.lights.radiance_hit(light, d, hit);
-            self.see_light(weight * self.inside.transmittance(hit.t) * radiance);
+            self.see_light(weight * inside.transmittance(hit.t) * radiance);
         });
     }
 
@@ -172,7 +177,9 @@ impl CollisionLight<'_> {
         let (phase, pdf) = (collision.scatter)(light.wi);
         let hit = self.scene.boundary_from_within(self.instance, collision.p, light.wi, light.reach());
         let visible = transmittance_beyond(self.scene, hit, light.wi, light.reach(), self.inside);
-        let weight = if light.delta { 1.0 } else { power_heuristic(light.pdf, pdf) };
+        // Walks meet no lights before the boundary: those within the medium are ours alone.
+        let ours = light.delta || hit.is_none() && light.distance.is_finite();
+        let weight = if ours { 1.0 } else { power_heuristic(light.pdf, pdf) };
         let light = phase * visible * light.radiance * (weight / light.pdf);
         add_to(sample, self.bucket, self.scale * collision.weight * light);
     }

@@ -14,7 +14,7 @@ use crate::math::Rgb;
 use crate::sampling::sampler::Sampler;
 use crate::scene::{BoundaryHit, InstanceEnclosure, SurfaceHit};
 use crate::subsurface::mixture::{Visitor, walk_mixture};
-use crate::subsurface::steps::{Start, WalkEnd};
+use crate::subsurface::steps::{Enclosure, Start, WalkEnd};
 use crate::subsurface::technique::GuidedMedium;
 use crate::subsurface::walk::{Along, Collision, walk};
 use glam::{Vec2, Vec3};
@@ -50,6 +50,9 @@ impl<'a> Path<'a> {
         let mut passage = Passage { enclosure, instance: si.instance, boundary, plan, medium, first: self.depth == 0 };
         let entry = BoundaryHit::of(hit);
         let p = passage.enclosure.point(&entry);
+        if boundary == Boundary::IndexMatched && scene.has_light_shapes() {
+            self.meet_lights_within(&passage, p, wi, entry);
+        }
         let mut start = Start { p, d: wi, normal: si.ng, hit: entry, weight: Rgb::ONE };
         loop {
             let (at, d) = self.sub_walk(&passage, start, sampler)?;
@@ -73,6 +76,15 @@ impl<'a> Path<'a> {
                 }
             }
         }
+    }
+
+    /// Light shapes inside a matched medium, as seen from the entry at `p` along `d`, by what passes without a collision:
+    /// exactly, where the walk would have to get that far. After collisions next-event estimation has them alone.
+    fn meet_lights_within(&mut self, passage: &Passage, p: Vec3, d: Vec3, entry: BoundaryHit) {
+        let object = Inside { instance: passage.instance, medium: Some(passage.medium.medium) };
+        let Some(inside) = self.inside.entered(object) else { return };
+        let t_max = passage.enclosure.cast(p, d, f32::INFINITY, Some(entry)).map_or(f32::INFINITY, |(t, _)| t);
+        self.meet_light_shapes_along(passage.enclosure.to_render(p), d, t_max, inside);
     }
 
     /// One walk to the next boundary point: where, and in which direction it arrives.

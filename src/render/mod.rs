@@ -1,5 +1,6 @@
 //! Rendering: passes over the tiles of the film until samples, time or noise say stop.
 
+mod bodies;
 mod training;
 
 use crate::error::Result;
@@ -51,6 +52,9 @@ pub struct GuideStats {
     pub seconds: f64,
     /// Boundary points with an irradiance estimate.
     pub records: u64,
+    /// Instances with a cache, and those too small on the picture for one.
+    pub bodies: usize,
+    pub bodies_too_small: usize,
     pub regions: usize,
     pub lit_regions: usize,
     pub bytes: usize,
@@ -107,12 +111,14 @@ pub fn render(scene: &Scene, settings: &RenderSettings, film: &Film, progress: &
     let limit = (settings.time_limit > 0.0).then(|| Duration::from_secs_f32(settings.time_limit));
     let out_of_time = || limit.is_some_and(|limit| start.elapsed() >= limit);
     let mut guide = Guide::new(scene, settings);
-    let (training, records) = training::train(scene, settings, &mut guide);
-    progress.add(&training);
+    let trained = training::train(scene, settings, &mut guide);
+    progress.add(&trained.stats);
     if film.watches_walks() {
         guide.number_regions();
     }
-    let mut learned = GuideStats { seconds: start.elapsed().as_secs_f64(), records, ..GuideStats::default() };
+    let [bodies, bodies_too_small] = trained.bodies;
+    let (seconds, records) = (start.elapsed().as_secs_f64(), trained.records);
+    let mut learned = GuideStats { seconds, records, bodies, bodies_too_small, ..GuideStats::default() };
     learned.count(&guide);
     progress.set_guide(learned.clone());
     let (mut done, mut pass) = (0, 1);
