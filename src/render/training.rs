@@ -4,10 +4,10 @@
 //! found as the paper does, where camera paths enter and where classical walks come out.
 
 use crate::flat::RenderSettings;
+use crate::guiding::Guide;
 use crate::guiding::cache::Record;
 use crate::guiding::field::{Field, FieldSettings};
 use crate::guiding::plan::{Plan, Walk};
-use crate::guiding::{ExitLights, Guide};
 use crate::integrator::{PathStats, probe};
 use crate::math::{Frame, Rgb};
 use crate::medium::Medium;
@@ -54,6 +54,9 @@ const CELL_RANGE: [f32; 2] = [1.0 / 128.0, 1.0 / 4.0];
 pub fn train(scene: &Scene, settings: &RenderSettings, guide: &mut Guide) -> (PathStats, u64) {
     let mut stats = PathStats::default();
     let mut records = 0;
+    if !guide.plans.iter().flatten().any(|plan| guide.must_know(plan)) {
+        return (stats, records);
+    }
     let boundaries: Vec<BoundaryOf> =
         (0..scene.instances.len() as u32).filter_map(|instance| BoundaryOf::new(scene, guide, instance)).collect();
     let sizes: Vec<f64> = boundaries.iter().map(BoundaryOf::apparent_size).collect();
@@ -97,10 +100,12 @@ impl<'a> BoundaryOf<'a> {
     /// `None`: no plan needs to know this boundary.
     fn new(scene: &'a Scene, guide: &Guide, instance: u32) -> Option<Self> {
         let of = &scene.instances[instance as usize];
-        let planned = |triangle: u32| {
-            let plan = guide.plan(of.surfaces + of.geometry.slot(triangle) as u32)?;
-            (plan.0.needs_cache() || guide.exit_lights == ExitLights::Learned).then_some(plan)
-        };
+        let known = |slot: usize| guide.plan(of.surfaces + slot as u32).filter(|(plan, _)| guide.must_know(plan));
+        if of.geometry.slots.is_none() {
+            // Most objects of most scenes: their triangles are not looked at one by one.
+            known(0)?;
+        }
+        let planned = |triangle: u32| known(of.geometry.slot(triangle));
         let triangles: Vec<u32> =
             (0..of.geometry.triangles.len() as u32).filter(|&triangle| planned(triangle).is_some()).collect();
         let (plan, medium) = planned(*triangles.first()?)?;
