@@ -44,8 +44,9 @@ class Bench:
 
     def compare(self, compared: Compared) -> dict[str, Any]:
         with tempfile.TemporaryDirectory(prefix="dermis-needs-") as folder:
+            # Folders whose names are equally long: the stage's path is among what is counted.
             files = []
-            for name, stage in (("without", compared.without), ("with", compared.having)):
+            for name, stage in (("a", compared.without), ("b", compared.having)):
                 of_stage = Path(folder) / name
                 of_stage.mkdir()
                 files.append(driver.flatten(stage, of_stage))

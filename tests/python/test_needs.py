@@ -130,7 +130,7 @@ def test_explain_shows_what_each_capability_costs(known, tmp_path, capsys):
     stage.write_text(PLAIN.text())
     said = explained(stage, capsys)
     used = "in use x 1.25 instructions, x 1.50 time, +123 kB while rendering"
-    assert f"  off depth of field  {used}  declared only 0 %, 0 B" in said
+    assert f"  off depth of field  {used}  declared only 0.00 %, 0 B" in said
     assert any("abc1234, A <chip>" in line for line in said)
     missing = next(line for line in said if line.startswith("  not measured: "))
     assert "spectral MIS" in missing and "depth of field" not in missing

@@ -35,7 +35,7 @@ LEGEND = (
     "Minimal stages: a ball over a floor, a lamp, 16 x 16 pixels. instructions and time: per sample, over those of the "
     "same stage without the capability (in brackets); once: million instructions more per render, for training and "
     "film; scene, render: bytes of heap more, of the compiled scene with its description and at the height of a "
-    "render. Instructions are repeatable to the last one, times are CPU time on a machine that may have been busy."
+    "render. Instructions repeat to a few millionths, times are CPU time on a machine that may have been busy."
 )
 
 
@@ -146,10 +146,11 @@ def times(ratio: float | None, of: str = "") -> str:
 
 
 def change(ratio: float | None) -> str:
-    """In percent; 0 where there is none at all."""
+    """In percent, to where counts repeat."""
     if ratio is None:
         return ""
-    return "0 %" if ratio == 1.0 else f"{100 * (ratio - 1):+.2g} %"
+    percent = round(100 * (ratio - 1), 2)
+    return f"{percent:+.2f} %" if percent else "0.00 %"
 
 
 def more(count: int) -> str:
