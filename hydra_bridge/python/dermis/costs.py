@@ -16,6 +16,9 @@ FREE = 1e-3
 FREE_BYTES = 8192
 """What the description of a prim may take: its names and numbers are kept, whatever they are for."""
 
+NAMES = 64
+"""Bytes that are not shown: names of files and prims differ by as many, whatever is measured."""
+
 COLUMNS = (
     "capability",
     "declared, not in use",
@@ -93,7 +96,7 @@ def in_use(used: dict[str, Any]) -> str:
     ratios = (times(used["instructions"], "instructions"), times(used["time"], "time"))
     memory = (used["scene_bytes"], "in the scene"), (used["render_bytes"], "while rendering")
     said = [ratio for ratio in ratios if ratio] + [
-        f"{more(count)} {where}" for count, where in memory if count
+        f"{more(count)} {where}" for count, where in memory if abs(count) >= NAMES
     ]
     return ", ".join(said)
 
@@ -155,8 +158,10 @@ def change(ratio: float | None) -> str:
 
 def more(count: int) -> str:
     """Bytes, with a sign."""
+    if abs(count) < NAMES:
+        return "0 B"
     if abs(count) < 1000:
-        return f"{count:+d} B" if count else "0 B"
+        return f"{count:+d} B"
     size, unit = (count / 1e3, "kB") if abs(count) < 1e6 else (count / 1e6, "MB")
     return f"{size:+.3g} {unit}"
 
