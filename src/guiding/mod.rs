@@ -114,6 +114,11 @@ impl Guide {
         Some((self.plans[surface as usize].as_ref()?, self.media[surface as usize].as_ref()?))
     }
 
+    /// Whether what light reaches a boundary with this plan has to be known.
+    pub fn must_know(&self, plan: &Plan) -> bool {
+        plan.needs_cache() || self.exit_lights == ExitLights::Learned
+    }
+
     /// Share of classical walks that a field starts with.
     pub fn start_fraction(&self, mixture: bool) -> f32 {
         if mixture { self.classical.max(normals::CLASSICAL_START) } else { self.classical }

@@ -1,6 +1,6 @@
 //! Which bodies are worth a cache of their own, and how many records each: by what the camera may see of them.
 
-use crate::guiding::{ExitLights, Guide};
+use crate::guiding::Guide;
 use crate::scene::{Instance, Scene};
 use std::collections::HashMap;
 
@@ -11,15 +11,17 @@ const LEAST_RECORDS: u32 = 256;
 /// among ten thousand of its kind the least of each would be more than all.
 const WORTH: f64 = 64.0;
 
-/// The surfaces of an instance behind which a plan needs to know the boundary.
+/// Whether a plan needs to know the boundary at `triangle`.
 pub(super) fn needs_records(guide: &Guide, instance: &Instance, triangle: u32) -> bool {
     let surface = instance.surfaces + instance.geometry.slot(triangle) as u32;
-    let learned = guide.exit_lights == ExitLights::Learned;
-    guide.plan(surface).is_some_and(|(plan, _)| plan.needs_cache() || learned)
+    guide.plan(surface).is_some_and(|(plan, _)| guide.must_know(plan))
 }
 
 /// Instances with the number of their records, out of `records` for all; and how many bodies are too small for any.
 pub(super) fn share_records(scene: &Scene, guide: &Guide, records: u32) -> (Vec<(u32, u32)>, usize) {
+    if !guide.plans.iter().flatten().any(|plan| guide.must_know(plan)) {
+        return (Vec::new(), 0);
+    }
     let sizes = apparent_sizes(scene, guide);
     let all: f64 = sizes.iter().map(|(_, size)| size).sum();
     let of = |size: f64| f64::from(records) * size / all;
@@ -57,6 +59,9 @@ fn object_area(guide: &Guide, instance: &Instance) -> f64 {
         let [a, b, c] = instance.geometry.corners(triangle);
         f64::from(0.5 * (b - a).cross(c - a).length())
     };
+    if instance.geometry.slots.is_none() && !needs_records(guide, instance, 0) {
+        return 0.0; // most objects of most scenes: their triangles are not looked at one by one
+    }
     let triangles = 0..instance.geometry.triangles.len() as u32;
     triangles.filter(|&triangle| needs_records(guide, instance, triangle)).map(area).sum()
 }

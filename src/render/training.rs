@@ -5,10 +5,10 @@
 
 use super::bodies::{needs_records, share_records};
 use crate::flat::RenderSettings;
+use crate::guiding::Guide;
 use crate::guiding::cache::Record;
 use crate::guiding::field::{Field, FieldSettings};
 use crate::guiding::plan::{Plan, Walk};
-use crate::guiding::Guide;
 use crate::integrator::{PathStats, probe};
 use crate::math::{Frame, Rgb};
 use crate::medium::Medium;
