@@ -12,7 +12,7 @@ SOURCES := pyproject.toml Cargo.toml Cargo.lock \
 # pyo3 asks this interpreter for its build settings, also under clippy and rustdoc.
 export PYO3_PYTHON := $(CURDIR)/$(BIN)/python
 
-.PHONY: render test stability lint format clean
+.PHONY: render test stability bench-lights lint format clean
 .DELETE_ON_ERROR:
 
 render: $(INSTALLED)
@@ -26,6 +26,10 @@ test: $(TEST_INSTALLED) lint
 # The hard cases, some minutes: out/stability.html and out/stability.csv.
 stability: $(TEST_INSTALLED)
 	PYTHONPATH=tests $(BIN)/python -m stability --out out
+
+# Cost and efficiency against the number of lights, some minutes.
+bench-lights: $(TEST_INSTALLED)
+	$(BIN)/python tests/bench_lights.py
 
 lint: $(TEST_INSTALLED)
 	cargo fmt --all --check

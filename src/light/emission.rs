@@ -54,6 +54,11 @@ impl Emission {
         }
     }
 
+    /// Angle off the axis beyond which nothing is emitted, radians; `None`: there is no cone.
+    pub fn cutoff(&self) -> Option<f32> {
+        self.shaping.as_ref().map(Shaping::cutoff)
+    }
+
     /// Estimate of the radiance, mean of the channels' magnitudes, over the directions within `spread`
     /// radians of `wo`; positive wherever it is not zero there.
     pub fn bound(&self, wo: Vec3, spread: f32) -> f32 {

@@ -10,6 +10,7 @@ use crate::guiding::plan::{Plan, Walk};
 use crate::guiding::{ExitLights, Guide};
 use crate::integrator::{PathStats, probe};
 use crate::math::{Frame, Rgb};
+use crate::light::Parts;
 use crate::medium::Medium;
 use crate::sampling::cosine_hemisphere;
 use crate::sampling::distribution::Distribution1D;
@@ -54,6 +55,8 @@ const CELL_RANGE: [f32; 2] = [1.0 / 128.0, 1.0 / 4.0];
 pub fn train(scene: &Scene, settings: &RenderSettings, guide: &mut Guide) -> (PathStats, u64) {
     let mut stats = PathStats::default();
     let mut records = 0;
+    let learned = guide.exit_lights == ExitLights::Learned;
+    let parts = if learned { scene.lights.parts() } else { Parts::default() };
     let boundaries: Vec<BoundaryOf> =
         (0..scene.instances.len() as u32).filter_map(|instance| BoundaryOf::new(scene, guide, instance)).collect();
     let sizes: Vec<f64> = boundaries.iter().map(BoundaryOf::apparent_size).collect();
@@ -67,7 +70,8 @@ pub fn train(scene: &Scene, settings: &RenderSettings, guide: &mut Guide) -> (Pa
         };
         stats.add(&seen);
         records += found.len() as u64;
-        let field = Field::build(&found, &boundary.medium, boundary.field_settings(settings, guide, found.len()));
+        let of_field = boundary.field_settings(settings, guide, found.len());
+        let field = Field::build(&found, &boundary.medium, &parts, of_field);
         guide.fields[boundary.instance as usize] = Some(field);
     }
     (stats, records)
@@ -218,7 +222,6 @@ impl<'a> BoundaryOf<'a> {
             normals: settings.normals as usize,
             classical: guide.start_fraction(self.plan.walk == Walk::Mixture),
             guided_first: guide.guided_first,
-            lights: self.scene.lights.len(),
             guide_exits: settings.guide_exits && self.plan.walk == Walk::Mixture,
         }
     }
