@@ -76,7 +76,8 @@ impl Field {
         let bill = settings.walk == Walk::Bill;
         let cells = cache.means.len();
         let conditional = matches!(settings.walk, Walk::Bono | Walk::Bill) && !settings.exact;
-        let sources = Sources::new(records, |size| build(size, &Parts::default()), settings.cell, Profile::new(medium), bill);
+        let sources =
+            Sources::new(records, |size| build(size, &Parts::default()), settings.cell, Profile::new(medium), bill);
         Self {
             exits: settings.guide_exits.then(|| Exits::new(&sources.cache, records)),
             sources,

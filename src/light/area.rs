@@ -62,7 +62,7 @@ impl AreaLight {
             (_, None) => (self.emission.axis, PI, FRAC_PI_2),
         };
         // Products of f32 extremes neither vanish nor overflow.
-        let intensity = f64::from(self.emission.bound(self.emission.axis, PI))
+        let intensity = f64::from(self.emission.bound(self.emission.axis, &Spread::of_angle(PI)))
             * f64::from(self.brightness)
             * f64::from(self.projected_area);
         Bound { min, max, axis, spread, falloff, intensity }
@@ -76,11 +76,13 @@ impl AreaLight {
             return 0.0;
         }
         let to = self.center - p;
-        let (d2, wi) = (to.length_squared(), to.normalize_or_zero());
+        let d2 = to.length_squared();
+        // At the centre itself the spread is everything, whatever wi.
+        let wi = to * d2.max(f32::MIN_POSITIVE).sqrt().recip();
         let spread = Spread::of_ball(self.radius, d2);
         let cos_light = self.shape.common_normal().map_or(1.0, |normal| facing(-normal, wi, &spread));
         let cos_receiver = n.map_or(1.0, |n| facing(n, wi, &spread));
-        let radiance = self.emission.bound(-wi, spread.angle()) * self.brightness;
+        let radiance = self.emission.bound(-wi, &spread) * self.brightness;
         // Saturates at pi L, the most a surface can receive.
         let solid_angle = self.projected_area / (d2 + self.projected_area * FRAC_1_PI);
         radiance * cos_light * cos_receiver * solid_angle

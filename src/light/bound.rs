@@ -110,25 +110,28 @@ impl Cluster {
     }
 
     /// Estimated irradiance at p without shadows; positive wherever light may arrive.
+    #[inline]
     pub fn importance(&self, p: Vec3, n: Option<Vec3>) -> f64 {
         let to = self.center - p;
         // The box' corner that is farthest along n: the ball about it reaches further.
         if n.is_some_and(|n| n.dot(to) + n.abs().dot(self.half) < 0.0) {
             return 0.0;
         }
-        let (d2, wi) = (to.length_squared(), to.normalize_or_zero());
-        let ball = Spread::of_ball(self.radius, d2);
-        let cosines = n.map_or(1.0, |n| facing(n, wi, &ball)) * self.emission(-wi, &ball);
         // The smallest f32 keeps a cluster of no size at p finite.
-        let d2 = d2.max(NEAREST * self.radius * self.radius).max(f32::MIN_POSITIVE);
-        self.intensity * f64::from(cosines) / f64::from(d2)
+        let d2 = to.length_squared().max(f32::MIN_POSITIVE);
+        let nearest = NEAREST * self.radius * self.radius;
+        let ball = Spread::of_ball(self.radius, d2);
+        if ball.is_all() {
+            return self.intensity / f64::from(d2.max(nearest));
+        }
+        let wi = to * d2.sqrt().recip();
+        let cosines = n.map_or(1.0, |n| facing(n, wi, &ball)) * self.emission(-wi, &ball);
+        self.intensity * f64::from(cosines) / f64::from(d2.max(nearest))
     }
 
     /// Largest cosine between a normal of the cluster and `wo`, towards a receiver that sees the cluster under `ball`.
+    #[inline]
     fn emission(&self, wo: Vec3, ball: &Spread) -> f32 {
-        if ball.is_all() {
-            return 1.0;
-        }
         let cos = self.axis.dot(wo).clamp(-1.0, 1.0);
         let beyond = less(((1.0 - cos * cos).sqrt(), cos), (self.sin, self.cos));
         let (_, cos) = less(beyond, (ball.sin, ball.cos));

@@ -4,7 +4,10 @@
 //! number (its stratification) is kept. Of many, the area lights are in a [`super::tree::Tree`], beside which domes and
 //! distant lights are weighed one by one. Sampling and pdf share the weights and the order of their sum.
 
-use super::Lights;
+use super::{
+    Lights,
+    tree::{Receiver, Tree},
+};
 use crate::math::PI;
 use glam::Vec3;
 
@@ -81,41 +84,45 @@ impl Lights {
     /// chosen.
     pub(super) fn choose(&self, p: Vec3, n: Option<Vec3>, choice: Choice, u: f32) -> Option<(u32, f32)> {
         let (u, shares) = (f64::from(u), choice.shares());
-        let beside = self.weigh(&self.beside, p, n, shares);
-        let Some(tree) = &self.tree else {
+        let beside = self.weigh(p, n, shares);
+        let Some((tree, in_tree)) = self.weigh_tree(p, n, shares) else {
             let (light, probability, _) = pick(beside, 0.0, u)?;
             return Some((light?, probability as f32));
         };
-        let in_tree = tree.importance(p, n) * f64::from(shares.get(self.beside.len()).copied().unwrap_or(1.0));
-        let (light, probability, u) = pick(beside, in_tree, u)?;
-        if let Some(light) = light {
-            return Some((light, probability as f32));
+        match pick(beside, in_tree, u)? {
+            (Some(light), probability, _) => Some((light, probability as f32)),
+            (None, probability, u) => {
+                let (light, within) = tree.descend(&self.receiver(p, n, shares), u)?;
+                Some((light, (probability * within) as f32))
+            }
         }
-        let (leaf, of_leaf, u) = tree.descend(p, n, self.shares_in_tree(shares), |l| self.weight(l, p, n), u)?;
-        let (light, in_leaf, _) = pick(self.weigh(leaf, p, n, &[]), 0.0, u)?;
-        Some((light?, (probability * of_leaf * in_leaf) as f32))
     }
 
     /// Expected number of samples of `light` at p.
     pub fn choice_probability(&self, light: u32, p: Vec3, n: Option<Vec3>, choice: Choice) -> f32 {
         let Choice::Drawn { count, shares } = choice else { return choice.count() as f32 };
-        let beside = || self.weigh(&self.beside, p, n, shares);
-        let count = f64::from(count);
-        let Some(tree) = &self.tree else { return (count * share(beside(), 0.0, light)) as f32 };
-        let in_tree = tree.importance(p, n) * f64::from(shares.get(self.beside.len()).copied().unwrap_or(1.0));
-        if !tree.contains(light) {
-            return (count * share(beside(), in_tree, light)) as f32;
-        }
-        if in_tree <= 0.0 {
-            return 0.0;
-        }
-        let all: f64 = in_tree + beside().map(|(_, weight)| weight).sum::<f64>();
-        let (of_leaf, leaf) = tree.probability(light, p, n, self.shares_in_tree(shares), |l| self.weight(l, p, n));
-        (count * in_tree / all * of_leaf * share(self.weigh(leaf, p, n, &[]), 0.0, light)) as f32
+        let own = if self.weight(light, p, n) > 0.0 { Some(light) } else { return 0.0 };
+        let probability = match self.weigh_tree(p, n, shares) {
+            None => share(self.weigh(p, n, shares), 0.0, own),
+            Some((tree, in_tree)) if tree.contains(light) => {
+                share(self.weigh(p, n, shares), in_tree, None) * tree.probability(light, &self.receiver(p, n, shares))
+            }
+            Some((_, in_tree)) => share(self.weigh(p, n, shares), in_tree, own),
+        };
+        (f64::from(count) * probability) as f32
     }
 
-    fn shares_in_tree<'a>(&self, shares: &'a [f32]) -> &'a [f32] {
-        shares.get(self.beside.len()..).unwrap_or(&[])
+    /// The tree and what it weighs as a whole.
+    fn weigh_tree(&self, p: Vec3, n: Option<Vec3>, shares: &[f32]) -> Option<(&Tree, f64)> {
+        let tree = self.tree.as_ref()?;
+        // Against nothing it may weigh anything.
+        let importance = if self.beside.is_empty() { 1.0 } else { tree.importance(p, n) };
+        Some((tree, importance * f64::from(shares.get(self.beside.len()).copied().unwrap_or(1.0))))
+    }
+
+    fn receiver<'a>(&'a self, p: Vec3, n: Option<Vec3>, shares: &'a [f32]) -> Receiver<'a, impl Fn(u32) -> f64> {
+        let shares = shares.get(self.beside.len()..).unwrap_or(&[]);
+        Receiver { p, n, shares, weight: move |light| self.weight(light, p, n) }
     }
 
     fn weight(&self, light: u32, p: Vec3, n: Option<Vec3>) -> f64 {
@@ -123,9 +130,9 @@ impl Lights {
         f64::from(self.lights[light as usize].importance(p, n).min(f32::MAX))
     }
 
-    /// Those of `lights` that have weight, in order. `shares`: visible, by place in `lights`; of all others 1.
-    fn weigh(&self, lights: &[u32], p: Vec3, n: Option<Vec3>, shares: &[f32]) -> impl Iterator<Item = (u32, f64)> + Clone {
-        lights.iter().enumerate().filter_map(move |(place, &light)| {
+    /// Those of the lights beside the tree that have weight, in order. `shares`: visible, by place; without them 1.
+    fn weigh(&self, p: Vec3, n: Option<Vec3>, shares: &[f32]) -> impl Iterator<Item = (u32, f64)> + Clone {
+        self.beside.iter().enumerate().filter_map(move |(place, &light)| {
             let weight = self.weight(light, p, n) * f64::from(shares.get(place).copied().unwrap_or(1.0));
             (weight > 0.0).then_some((light, weight))
         })
@@ -148,12 +155,12 @@ fn pick(weights: impl Iterator<Item = (u32, f64)> + Clone, rest: f64, u: f64) ->
     if rest > 0.0 { Some((None, rest / sum, (left / rest).min(1.0))) } else { last }
 }
 
-/// Probability with which [`pick`] gives `light`.
-fn share(weights: impl Iterator<Item = (u32, f64)>, rest: f64, light: u32) -> f64 {
-    let (mut sum, mut own) = (0.0, 0.0);
+/// Probability with which [`pick`] gives `light`, or the rest.
+fn share(weights: impl Iterator<Item = (u32, f64)>, rest: f64, light: Option<u32>) -> f64 {
+    let (mut sum, mut own) = (0.0, if light.is_none() { rest } else { 0.0 });
     for (i, weight) in weights {
         sum += weight;
-        if i == light {
+        if Some(i) == light {
             own = weight;
         }
     }
@@ -169,6 +176,7 @@ pub struct Spread {
 
 impl Spread {
     /// Of a ball at squared distance `d2`; every direction from within it.
+    #[inline]
     pub fn of_ball(radius: f32, d2: f32) -> Self {
         let sin2 = radius * radius / d2;
         if sin2 < 1.0 { Self { sin: sin2.sqrt(), cos: (1.0 - sin2).sqrt() } } else { Self { sin: 0.0, cos: -1.0 } }
@@ -193,6 +201,7 @@ impl Spread {
 pub const ROUNDING: f32 = 1e-6;
 
 /// Largest max(0, n . w) over directions w within `spread` of `wi`, from above.
+#[inline]
 pub fn facing(n: Vec3, wi: Vec3, spread: &Spread) -> f32 {
     let cos = n.dot(wi);
     if cos >= spread.cos {

@@ -1,8 +1,9 @@
 //! From UsdLux attributes to lights; what cannot shine is dropped aloud.
 
 use super::{
-    Light, Lights, area::AreaLight, bound::Bound, cylinder::Cylinder, disk::Disk, distant, distant::Distant, dome::Dome,
-    ellipsoid::Ellipsoid, emission::Emission, mesh::TriangleSet, rect::Rect, shape::Shape, texels::Texels, tree::Tree,
+    Light, Lights, area::AreaLight, bound::Bound, cylinder::Cylinder, disk::Disk, distant, distant::Distant,
+    dome::Dome, ellipsoid::Ellipsoid, emission::Emission, mesh::TriangleSet, rect::Rect, shape::Shape, texels::Texels,
+    tree::Tree,
 };
 use crate::{
     error::Warning,

@@ -11,10 +11,10 @@
 use super::texels::Texels;
 use crate::{
     math::{Affine, PI, Rgb, TAU},
-    sampling::distribution::Distribution2D,
+    sampling::distribution::{BLOCK, Block, Distribution2D},
 };
 use glam::{Mat3, Vec2, Vec3};
-use std::f64;
+use std::{f64, ops::Range};
 
 /// The image and how brightness is distributed over the cells between its pixel centres.
 #[derive(Debug, Clone)]
@@ -39,7 +39,7 @@ impl Map {
         let centre = |y: usize| f64::consts::PI * (y as f64 + 0.5) / h as f64;
         let centres = (0..h).map(|y| centre(y).cos());
         let bands: Vec<f64> = std::iter::once(1.0).chain(centres).chain([-1.0]).collect();
-        let choice = Distribution2D::new(w, h + 1, |x, y| weight(&texels, &bands, x, y))?;
+        let choice = Distribution2D::new(w, h + 1, |columns, row| weights(&texels, &bands, columns, row))?;
         let turn = match pole_axis {
             // +Y to +Z, +Z to -Y.
             "Z" => Mat3::from_cols(Vec3::X, Vec3::Z, Vec3::NEG_Y),
@@ -57,7 +57,7 @@ impl Map {
 
     /// Direction and its solid-angle pdf: by brightness.
     pub fn sample(&self, u: Vec2) -> (Vec3, f32) {
-        let (column, row, u) = self.choice.sample(u, |x, y| weight(&self.texels, &self.bands, x, y));
+        let (column, row, u) = self.choice.sample(u, |columns, row| weights(&self.texels, &self.bands, columns, row));
         let corners = Corners::new(&self.texels, column, row);
         let [x, y] = corners.sample(u);
         // Uniform per solid angle is uniform in height and longitude.
@@ -106,9 +106,18 @@ impl Map {
     }
 }
 
-/// Mean brightness of a cell times its height; all columns are as wide.
-fn weight(texels: &Texels, bands: &[f64], column: usize, row: usize) -> f64 {
-    Corners::new(texels, column, row).at(0.5, 0.5) * (bands[row] - bands[row + 1])
+/// Mean brightness of cells times their height; all columns are as wide.
+fn weights(texels: &Texels, bands: &[f64], columns: Range<usize>, row: usize) -> Block {
+    let quarter = 0.25 * (bands[row] - bands[row + 1]);
+    let at = |x: usize, y: i64| f64::from(texels.magnitude(x as i64, y));
+    let edge = |x: usize| at(x, row as i64 - 1) + at(x, row as i64);
+    let (mut block, mut left) = ([0.0; BLOCK], edge(columns.start));
+    for (weight, column) in block.iter_mut().zip(columns) {
+        let right = edge(column + 1);
+        *weight = quarter * (left + right);
+        left = right;
+    }
+    block
 }
 
 /// Brightness at the corners of a cell: left and right, above and below.

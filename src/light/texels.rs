@@ -60,7 +60,12 @@ impl Texels {
 
     fn pixel(&self, x: i64, y: i64) -> Rgb {
         let (w, h) = (self.width as i64, self.height as i64);
-        let x = if self.wrap { x.rem_euclid(w) } else { x.clamp(0, w - 1) };
+        let x = match (0..w).contains(&x) {
+            // A division less where whole rows are read.
+            true => x,
+            false if self.wrap => x.rem_euclid(w),
+            false => x.clamp(0, w - 1),
+        };
         self.pixels[(y.clamp(0, h - 1) * w + x) as usize].into()
     }
 }

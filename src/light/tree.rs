@@ -1,8 +1,8 @@
 //! A binary tree over area lights: one of many is drawn at a cost that grows with the logarithm of their number.
 //!
 //! Conty Estevez and Kulla 2018, "Importance Sampling of Many Lights with Adaptive Tree Splitting", without the splitting:
-//! clusters split by the surface area orientation heuristic, and a descent by what each child might give. Leaves hold a few
-//! lights and weigh what these weigh, so that a descent hardly ever ends where nothing is.
+//! clusters split by the surface area orientation heuristic, and a descent by what each child might give. A leaf is a light and
+//! weighs what this weighs where all are weighed, so that a descent hardly ever ends where nothing is.
 
 use super::{
     bound::{Bound, Cluster},
@@ -13,9 +13,6 @@ use std::collections::VecDeque;
 
 /// Area lights up to which all are weighed: a tree costs as much and knows less (docs/performance.md, Lights).
 pub const FEW: usize = 16;
-
-/// Most lights of a leaf: weighing four costs about what two levels of the tree do, and knows more.
-const LEAF: usize = 4;
 
 /// Nodes from the root on whose visible share is learned by region: five levels.
 const PARTS: usize = 63;
@@ -31,8 +28,6 @@ const NONE: u32 = u32::MAX;
 pub struct Tree {
     /// Breadth first; siblings are neighbours, the left one at an odd index.
     nodes: Vec<Node>,
-    /// Lights, leaf by leaf.
-    order: Vec<u32>,
     /// By light: its leaf; `NONE` for those that are not in the tree.
     leaves: Vec<u32>,
 }
@@ -41,10 +36,20 @@ pub struct Tree {
 struct Node {
     cluster: Cluster,
     parent: u32,
-    /// The left child; of a leaf, its first place in `order`.
-    first: u32,
-    /// Lights of a leaf; 0: an inner node.
-    count: u32,
+    /// The left child; 0: a leaf.
+    left: u32,
+    /// Of a leaf.
+    light: u32,
+}
+
+/// Who asks.
+pub struct Receiver<'a, F> {
+    pub p: Vec3,
+    pub n: Option<Vec3>,
+    /// Visible, of the first nodes; of all others 1.
+    pub shares: &'a [f32],
+    /// Of a light by itself.
+    pub weight: F,
 }
 
 impl Tree {
@@ -56,33 +61,25 @@ impl Tree {
     /// The same, however few; there is one light at least.
     pub fn over(bounds: &[(u32, Bound)], lights: usize) -> Self {
         let mut bounds = bounds.to_vec();
-        let mut tree = Self { nodes: Vec::new(), order: Vec::new(), leaves: vec![NONE; lights] };
+        let mut tree = Self { nodes: Vec::new(), leaves: vec![NONE; lights] };
         tree.nodes.push(Node::of(&bounds, NONE));
         let mut waiting = VecDeque::from([(0, 0..bounds.len(), 0)]);
         while let Some((at, range, depth)) = waiting.pop_front() {
             let own = &mut bounds[range.clone()];
-            if own.len() <= LEAF {
-                tree.make_leaf(at, own);
+            if let [(light, _)] = own {
+                tree.nodes[at].light = *light;
+                tree.leaves[*light as usize] = at as u32;
                 continue;
             }
             let middle = range.start + split(own, depth);
             let first = tree.nodes.len();
-            tree.nodes[at].first = first as u32;
+            tree.nodes[at].left = first as u32;
             for (child, part) in [range.start..middle, middle..range.end].into_iter().enumerate() {
                 tree.nodes.push(Node::of(&bounds[part.clone()], at as u32));
                 waiting.push_back((first + child, part, depth + 1));
             }
         }
         tree
-    }
-
-    fn make_leaf(&mut self, at: usize, lights: &[(u32, Bound)]) {
-        self.nodes[at].first = self.order.len() as u32;
-        self.nodes[at].count = lights.len() as u32;
-        for (light, _) in lights {
-            self.order.push(*light);
-            self.leaves[*light as usize] = at as u32;
-        }
     }
 
     pub fn contains(&self, light: u32) -> bool {
@@ -94,81 +91,55 @@ impl Tree {
         self.nodes[0].cluster.importance(p, n)
     }
 
-    /// A leaf's lights, the probability of having come there, and `u` remapped; `None` where no light of the clusters passed
-    /// can reach p. `shares`: visible shares of the first nodes, of all others 1; `light`: the weight of one.
-    pub fn descend(
-        &self,
-        p: Vec3,
-        n: Option<Vec3>,
-        shares: &[f32],
-        light: impl Fn(u32) -> f64,
-        u: f64,
-    ) -> Option<(&[u32], f64, f64)> {
-        let (mut at, mut probability, mut u) = (0, 1.0, u);
-        while self.nodes[at].count == 0 {
-            let left = self.nodes[at].first as usize;
-            let share = self.left_share(left, p, n, shares, &light)?;
+    /// A light and its probability; `None` where none of the clusters passed can reach p.
+    pub fn descend(&self, at: &Receiver<impl Fn(u32) -> f64>, mut u: f64) -> Option<(u32, f64)> {
+        let (mut node, mut probability) = (0, 1.0);
+        while self.nodes[node].left > 0 {
+            let left = self.nodes[node].left as usize;
+            let share = self.left_share(left, at)?;
             if u < share {
-                (at, probability, u) = (left, probability * share, u / share);
+                (node, probability, u) = (left, probability * share, u / share);
             } else {
-                (at, probability, u) = (left + 1, probability * (1.0 - share), (u - share) / (1.0 - share));
+                (node, probability, u) = (left + 1, probability * (1.0 - share), (u - share) / (1.0 - share));
             }
         }
-        Some((self.of_leaf(at), probability, u))
+        Some((self.nodes[node].light, probability))
     }
 
-    /// Probability with which [`Self::descend`] comes to the leaf of `light`, and the lights there.
-    pub fn probability(
-        &self,
-        light: u32,
-        p: Vec3,
-        n: Option<Vec3>,
-        shares: &[f32],
-        weight: impl Fn(u32) -> f64,
-    ) -> (f64, &[u32]) {
-        let leaf = self.leaves[light as usize] as usize;
-        let (mut at, mut probability) = (leaf, 1.0);
-        while at > 0 && probability > 0.0 {
-            let is_left = at % 2 == 1;
-            let left = if is_left { at } else { at - 1 };
-            let share = self.left_share(left, p, n, shares, &weight).map(|share| if is_left { share } else { 1.0 - share });
+    /// Probability with which [`Self::descend`] comes to `light`.
+    pub fn probability(&self, light: u32, at: &Receiver<impl Fn(u32) -> f64>) -> f64 {
+        let (mut node, mut probability) = (self.leaves[light as usize] as usize, 1.0);
+        while node > 0 && probability > 0.0 {
+            let is_left = node % 2 == 1;
+            let left = if is_left { node } else { node - 1 };
+            let share = self.left_share(left, at).map(|share| if is_left { share } else { 1.0 - share });
             probability *= share.unwrap_or(0.0);
-            at = self.nodes[at].parent as usize;
+            node = self.nodes[node].parent as usize;
         }
-        (probability, self.of_leaf(leaf))
+        probability
     }
 
     /// Probability of node `left` against its sibling; `None` where neither gives anything.
-    fn left_share(
-        &self,
-        left: usize,
-        p: Vec3,
-        n: Option<Vec3>,
-        shares: &[f32],
-        light: &impl Fn(u32) -> f64,
-    ) -> Option<f64> {
-        let weight = |node: usize| {
-            let share = shares.get(node).copied().unwrap_or(1.0);
-            let importance = match self.nodes[node].count {
-                0 => self.nodes[node].cluster.importance(p, n),
-                _ => self.of_leaf(node).iter().map(|&l| light(l)).sum(),
+    fn left_share(&self, left: usize, at: &Receiver<impl Fn(u32) -> f64>) -> Option<f64> {
+        let weight = |i: usize| {
+            let node = &self.nodes[i];
+            let importance = match node.left {
+                0 => (at.weight)(node.light),
+                _ => node.cluster.importance(at.p, at.n),
             };
-            importance * f64::from(share)
+            importance * f64::from(at.shares.get(i).copied().unwrap_or(1.0))
         };
         let (a, b) = (weight(left), weight(left + 1));
         (a + b > 0.0).then(|| a / (a + b))
-    }
-
-    fn of_leaf(&self, at: usize) -> &[u32] {
-        let node = &self.nodes[at];
-        &self.order[node.first as usize..(node.first + node.count) as usize]
     }
 
     /// Adds the first nodes to `parts`, which may hold other lights already.
     pub fn add_parts(&self, parts: &mut Parts) {
         let offset = parts.parents.len() as u32;
         let known = self.nodes.len().min(PARTS);
-        parts.parents.extend(self.nodes[..known].iter().map(|node| (node.parent != NONE).then(|| offset + node.parent)));
+        parts
+            .parents
+            .extend(self.nodes[..known].iter().map(|node| (node.parent != NONE).then(|| offset + node.parent)));
         for (light, leaf) in self.leaves.iter().enumerate().filter(|(_, leaf)| **leaf != NONE) {
             let mut at = *leaf;
             while at as usize >= known {
@@ -183,7 +154,7 @@ impl Node {
     fn of(lights: &[(u32, Bound)], parent: u32) -> Self {
         let bound = lights.iter().map(|(_, bound)| bound.clone()).reduce(|a, b| a.union(&b));
         let bound = bound.expect("a cluster holds lights");
-        Self { cluster: Cluster::new(&bound), parent, first: 0, count: 0 }
+        Self { cluster: Cluster::new(&bound), parent, left: 0, light: 0 }
     }
 }
 

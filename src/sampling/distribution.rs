@@ -5,6 +5,7 @@
 
 use glam::Vec2;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// A distribution over `0..len`.
 #[derive(Debug, Clone)]
@@ -43,7 +44,10 @@ impl Distribution1D {
 }
 
 /// Columns whose weights are summed up together: cumulative sums of an 8k dome take 17 MB instead of 270.
-const BLOCK: usize = 16;
+pub const BLOCK: usize = 16;
+
+/// Weights of some columns that follow each other, as many as there are.
+pub type Block = [f64; BLOCK];
 
 /// A distribution over the cells of a grid: a row, then a column within it. Weights are not stored: whoever has them gives
 /// them again.
@@ -56,14 +60,13 @@ pub struct Distribution2D {
 }
 
 impl Distribution2D {
-    /// Proportional to the non-negative `weight(column, row)`; `None` as for [`Distribution1D::new`].
-    pub fn new(width: usize, height: usize, weight: impl Fn(usize, usize) -> f64 + Sync) -> Option<Self> {
+    /// Proportional to the non-negative `weights(columns, row)`; `None` as for [`Distribution1D::new`].
+    pub fn new(width: usize, height: usize, weights: impl Fn(Range<usize>, usize) -> Block + Sync) -> Option<Self> {
         let stride = width.div_ceil(BLOCK) + 1;
         let mut blocks = vec![0.0; stride * height];
         blocks.par_chunks_exact_mut(stride).enumerate().for_each(|(y, sums)| {
             for block in 0..stride - 1 {
-                let columns = block * BLOCK..((block + 1) * BLOCK).min(width);
-                sums[block + 1] = sums[block] + columns.map(|x| weight(x, y)).sum::<f64>();
+                sums[block + 1] = sums[block] + weights(columns(block, width), y).iter().sum::<f64>();
             }
         });
         let rows = Distribution1D::new(blocks.chunks_exact(stride).map(|sums| sums[stride - 1]))?;
@@ -76,7 +79,7 @@ impl Distribution2D {
     }
 
     /// For `u` in [0, 1)^2: (column, row) of positive probability, and `u` remapped to the inside of the cell.
-    pub fn sample(&self, u: Vec2, weight: impl Fn(usize, usize) -> f64) -> (usize, usize, [f64; 2]) {
+    pub fn sample(&self, u: Vec2, weights: impl Fn(Range<usize>, usize) -> Block) -> (usize, usize, [f64; 2]) {
         let (row, v) = self.rows.sample(f64::from(u.y));
         let stride = self.width.div_ceil(BLOCK) + 1;
         let sums = &self.blocks[row * stride..(row + 1) * stride];
@@ -85,8 +88,8 @@ impl Distribution2D {
         let mut left = target - sums[block];
         // Rounding may leave a remainder beyond the last weight: it is the last column's.
         let mut last = (block * BLOCK, 0.0);
-        for column in block * BLOCK..((block + 1) * BLOCK).min(self.width) {
-            let weight = weight(column, row);
+        let columns = columns(block, self.width);
+        for (column, weight) in columns.clone().zip(weights(columns, row)) {
             if left < weight {
                 return (column, row, [left / weight, v]);
             }
@@ -97,11 +100,10 @@ impl Distribution2D {
         }
         (last.0, row, [last.1, v])
     }
+}
 
-    /// Bytes.
-    pub fn memory(&self) -> usize {
-        (self.blocks.len() + self.rows.cdf.len()) * size_of::<f64>()
-    }
+fn columns(block: usize, width: usize) -> Range<usize> {
+    block * BLOCK..((block + 1) * BLOCK).min(width)
 }
 
 /// The interval of `cdf` that holds `u`, and where in it.
@@ -117,12 +119,18 @@ fn invert(cdf: &[f64], u: f64) -> (usize, f64) {
 mod tests {
     use super::*;
 
+    fn by_cell(weight: impl Fn(usize, usize) -> f64) -> impl Fn(Range<usize>, usize) -> Block {
+        move |columns, row| {
+            std::array::from_fn(|i| if i < columns.len() { weight(columns.start + i, row) } else { 0.0 })
+        }
+    }
+
     #[test]
     fn no_weight_is_no_distribution() {
         assert!(Distribution1D::new([]).is_none());
         assert!(Distribution1D::new([0.0, 0.0]).is_none());
         assert!(Distribution1D::new([f64::NAN, 1.0]).is_none());
-        assert!(Distribution2D::new(3, 2, |_, _| 0.0).is_none());
+        assert!(Distribution2D::new(3, 2, |_, _| [0.0; BLOCK]).is_none());
     }
 
     #[test]
@@ -144,30 +152,33 @@ mod tests {
     fn one_cell_that_holds_all() {
         let (w, h) = (4096, 2048);
         let weight = |x: usize, y: usize| if (x, y) == (4000, 7) { 1e6 } else { 1e-6 };
-        let d = Distribution2D::new(w, h, weight).unwrap();
+        let d = Distribution2D::new(w, h, by_cell(weight)).unwrap();
         let total = 1e6 + 1e-6 * (w * h - 1) as f64;
         assert!((d.sum() / total - 1.0).abs() < 1e-9);
-        assert_eq!(d.sample(Vec2::new(0.3, 0.6), weight).0, 4000);
-        assert!(d.memory() < 5 << 20);
+        assert_eq!(d.sample(Vec2::new(0.3, 0.6), by_cell(weight)).0, 4000);
+        assert!(d.blocks.len() < w * h / 8);
     }
 
     #[test]
     fn a_grid_is_sampled_by_its_weights() {
         for (w, h) in [(1, 1), (2, 1), (1, 3), (17, 5), (48, 2)] {
             let weight = |x: usize, y: usize| if (x + y) % 5 == 4 { 0.0 } else { (1 + x * y) as f64 };
-            let d = Distribution2D::new(w, h, weight).unwrap();
+            let d = Distribution2D::new(w, h, by_cell(weight)).unwrap();
             let mut counts = vec![0.0; w * h];
             const N: u32 = 1024;
             for i in 0..N * N {
                 let u = Vec2::new((i % N) as f32 + 0.5, (i / N) as f32 + 0.5) / N as f32;
-                let (x, y, offset) = d.sample(u, weight);
+                let (x, y, offset) = d.sample(u, by_cell(weight));
                 assert!(offset.iter().all(|o| (0.0..1.0).contains(o)));
                 counts[x + y * w] += 1.0;
             }
             for (i, count) in counts.iter().enumerate() {
                 // Each border may take or lose a line of the N x N numbers.
                 let (x, y) = (i % w, i / w);
-                assert!((count / f64::from(N * N) - weight(x, y) / d.sum()).abs() < 4.0 / f64::from(N), "{w} {h} {x} {y}");
+                assert!(
+                    (count / f64::from(N * N) - weight(x, y) / d.sum()).abs() < 4.0 / f64::from(N),
+                    "{w} {h} {x} {y}"
+                );
                 assert!(count > &0.0 || weight(x, y) < 1e-3 * d.sum());
             }
         }

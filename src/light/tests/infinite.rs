@@ -111,7 +111,7 @@ fn irradiance_of_a_sky() {
             let lights = compile_with(&[dome(pole, transform)], &sky());
             let n = Vec3::new(0.48, 0.6, -0.64);
             let truth = direction_sum(&lights, 0, n);
-            let e = irradiance(&lights, Vec3::ZERO, n, 60_000, 2);
+            let e = irradiance(&lights, Vec3::ZERO, n, 240_000, 2);
             assert_agrees(e, truth, 1e-3, &format!("{name} {pole}"));
         }
     }
@@ -203,9 +203,9 @@ fn angle_zero_is_a_single_direction() {
 }
 
 /// Integral of red radiance times max(0, cos) over the sphere, by its own lookup: midpoints within each pixel, in f64.
-fn map_sum(pixels: &dyn Fn(u32, u32) -> f32, (w, h): (u32, u32), n: Vec3, pieces: u32) -> f64 {
+fn map_sum(pixels: &dyn Fn(u32, u32) -> f32, (w, h): (u32, u32), n: Vec3) -> f64 {
     let at = |x: i64, y: i64| f64::from(pixels(x.rem_euclid(w.into()) as u32, y.clamp(0, i64::from(h) - 1) as u32));
-    let (columns, rows) = (w * pieces, h * pieces);
+    let (columns, rows) = (w * 600_u32.div_ceil(w), h * 600_u32.div_ceil(h));
     let mut sum = 0.0;
     for i in 0..rows {
         let t = (f64::from(i) + 0.5) / f64::from(rows);
@@ -232,7 +232,7 @@ fn map_sum(pixels: &dyn Fn(u32, u32) -> f32, (w, h): (u32, u32), n: Vec3, pieces
 /// A number in [0, 1) by pixel, skewed so that some are bright.
 fn noise(x: u32, y: u32) -> f32 {
     let h = (x.wrapping_mul(0x9e37_79b9) ^ y.wrapping_mul(0x85eb_ca6b)).wrapping_mul(0xc2b2_ae35);
-    ((h >> 8) as f32 / 16_777_216.0).powi(6)
+    0.01 + ((h >> 8) as f32 / 16_777_216.0).powi(6)
 }
 
 #[test]
@@ -244,7 +244,7 @@ fn maps_of_any_resolution_give_their_integral() {
         for (name, pixel) in images {
             let lights = compile_with(&[dome("Y", IDENTITY)], &map(w, h, pixel));
             for n in [n, -n] {
-                let truth = map_sum(pixel, (w, h), n, (600 / w.max(h)).clamp(8, 600));
+                let truth = map_sum(pixel, (w, h), n);
                 let e = irradiance(&lights, Vec3::ZERO, n, 200_000, 2);
                 let slack = 1e-3 * truth + 1e-9;
                 let what = format!("{name} {w} x {h}: {e:?}, true {truth}");
@@ -283,8 +283,14 @@ fn an_8k_map_takes_this_long() {
     let lights = compile_with(&[dome("Y", IDENTITY)], &textures);
     println!("compiled in {:.2} s", begun.elapsed().as_secs_f64());
     let mut random = Random::new(5);
-    let begun = std::time::Instant::now();
-    const N: u32 = 1_000_000;
-    let sum: f32 = (0..N).map(|_| random.sample(&lights, Vec3::ZERO, None).map_or(0.0, |s| s.wi.x)).sum();
-    println!("{:.0} ns per sample ({sum})", begun.elapsed().as_secs_f64() / f64::from(N) * 1e9);
+    let mut sum = 0.0;
+    let mut times: Vec<u128> = (0..2000)
+        .map(|_| {
+            let begun = std::time::Instant::now();
+            sum += (0..100).map(|_| random.sample(&lights, Vec3::ZERO, None).map_or(0.0, |s| s.wi.x)).sum::<f32>();
+            begun.elapsed().as_nanos() / 100
+        })
+        .collect();
+    // The median: others may be at work on this machine.
+    println!("{} ns per sample ({sum})", times.select_nth_unstable(1000).1);
 }
