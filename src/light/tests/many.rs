@@ -233,7 +233,7 @@ fn the_tree_comes_near_the_exact_choice() {
         let (median, high) = (moments[moments.len() / 2], moments[moments.len() * 9 / 10]);
         println!("{name}: median {median:.2}, nine of ten below {high:.2}");
         // What fills a room at all sizes has no clusters.
-        let limits = if name.starts_with("sizes") { [8.0, 25.0] } else { [3.0, 8.0] };
+        let limits = if name.starts_with("sizes") { [8.0, 25.0] } else { [4.0, 10.0] };
         assert!(median < limits[0] && high < limits[1], "{name}: median {median}, nine of ten below {high}");
     }
 }
