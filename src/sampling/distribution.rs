@@ -179,7 +179,7 @@ mod tests {
                     (count / f64::from(N * N) - weight(x, y) / d.sum()).abs() < 4.0 / f64::from(N),
                     "{w} {h} {x} {y}"
                 );
-                assert!(count > &0.0 || weight(x, y) < 1e-3 * d.sum());
+                assert!(*count > 0.0 || weight(x, y) < 1e-3 * d.sum());
             }
         }
     }
