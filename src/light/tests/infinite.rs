@@ -240,11 +240,11 @@ fn maps_of_any_resolution_give_their_integral() {
     let n = Vec3::new(0.48, 0.6, -0.64);
     for (w, h) in [(1, 1), (2, 1), (1, 2), (2, 2), (3, 5), (7, 3), (127, 61), (1, 64), (64, 1)] {
         let hot = |x: u32, y: u32| if (x, y) == (w / 3, h / 2) { 1e4 } else { 0.0 };
-        let images: [(&str, &dyn Fn(u32, u32) -> f32); 2] = [("noise", &noise), ("hot", &hot)];
-        for (name, pixel) in images {
+        for name in ["noise", "hot"] {
+            let pixel = |x: u32, y: u32| if name == "hot" { hot(x, y) } else { noise(x, y) };
             let lights = compile_with(&[dome("Y", IDENTITY)], &map(w, h, pixel));
             for n in [n, -n] {
-                let truth = map_sum(pixel, (w, h), n);
+                let truth = map_sum(&pixel, (w, h), n);
                 let e = irradiance(&lights, Vec3::ZERO, n, 60_000, 2);
                 let slack = 1e-3 * truth + 1e-9;
                 let what = format!("{name} {w} x {h}: {e:?}, true {truth}");
