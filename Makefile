@@ -12,7 +12,7 @@ SOURCES := pyproject.toml Cargo.toml Cargo.lock \
 # pyo3 asks this interpreter for its build settings, also under clippy and rustdoc.
 export PYO3_PYTHON := $(CURDIR)/$(BIN)/python
 
-.PHONY: render test stability needs lint format clean
+.PHONY: render test stability needs scaling bench-lights lint format clean
 .DELETE_ON_ERROR:
 
 render: $(INSTALLED)
@@ -32,6 +32,14 @@ stability: $(TEST_INSTALLED)
 needs: $(TEST_INSTALLED)
 	cargo build --release --example phases
 	PYTHONPATH=tests $(BIN)/python -m needs --out hydra_bridge/python/dermis/costs.json
+
+# What a sample, a start and a byte cost as scenes grow: out/scaling.csv and out/scaling.png.
+scaling: $(TEST_INSTALLED)
+	PYTHONPATH=tests $(BIN)/python -m scaling --out out
+
+# Cost and efficiency against the number of lights, some minutes.
+bench-lights: $(TEST_INSTALLED)
+	$(BIN)/python tests/bench_lights.py
 
 lint: $(TEST_INSTALLED)
 	cargo fmt --all --check

@@ -162,7 +162,7 @@ impl ExitLights {
         let how = match self {
             Self::One => "one",
             Self::All => "all",
-            Self::Learned => "learned: one, by the share of each light that its region saw",
+            Self::Learned => "learned: four, by the share of each light, or cluster of lights, that its region saw",
         };
         match asked {
             "auto" => format!("{how}; {lights} lights, and up to {} are all sampled", super::FEW_LIGHTS),

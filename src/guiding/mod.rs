@@ -36,14 +36,14 @@ use statistics::{RegionId, Statistics};
 pub enum ExitLights {
     One,
     All,
-    /// One, by the visible shares that its region learned.
+    /// Some, by the visible shares that its region learned.
     Learned,
 }
 
 /// Most lights that are all sampled at an exit: each costs a shadow ray (mixture_3d.md section 5).
 const FEW_LIGHTS: usize = 8;
 
-/// Light samples at an exit, shared by the lights where all are sampled: a shadow ray costs a tenth of the path that
+/// Light samples at an exit, shared by the lights where all are sampled, drawn where they are learned: a shadow ray costs a tenth of the path that
 /// led there.
 const EXIT_SAMPLES: u32 = 4;
 
@@ -157,7 +157,7 @@ impl Guide {
         match self.exit_lights {
             ExitLights::One => LightsAt::One,
             ExitLights::All => LightsAt::All,
-            ExitLights::Learned => self.region(instance, p, n).map_or(LightsAt::One, LightsAt::Region),
+            ExitLights::Learned => self.region(instance, p, n).map_or(LightsAt::Some, LightsAt::Region),
         }
     }
 
@@ -173,20 +173,27 @@ impl Guide {
         self.fields[cell.instance as usize].as_ref()?.exits.as_ref()?.at(cell.region)
     }
 
-    /// The lights of the first surface behind a pixel: what is seen directly deserves them all where they are few.
+    /// The lights of the first surface behind a pixel: what is seen directly deserves them all where they are few, and some of
+    /// many.
     pub fn first_hit_choice(&self) -> LightsAt {
-        if self.exit_lights == ExitLights::All { LightsAt::Each } else { LightsAt::One }
+        match self.exit_lights {
+            ExitLights::One => LightsAt::One,
+            ExitLights::All => LightsAt::Each,
+            ExitLights::Learned => LightsAt::Some,
+        }
     }
 
     /// The choice that `exit_choice` stands for.
     pub fn choice(&self, at: LightsAt) -> Choice<'_> {
         match at {
-            LightsAt::One => Choice::One,
+            LightsAt::One => Choice::ONE,
+            LightsAt::Some => Choice::Drawn { count: EXIT_SAMPLES, shares: &[] },
             LightsAt::All => Choice::All(self.light_samples),
             LightsAt::Each => Choice::All(1),
-            LightsAt::Region(at) => self.fields[at.instance as usize]
-                .as_ref()
-                .map_or(Choice::One, |field| Choice::Weighted(field.cache.visibility(at.region))),
+            LightsAt::Region(at) => {
+                let field = self.fields[at.instance as usize].as_ref();
+                Choice::Drawn { count: EXIT_SAMPLES, shares: field.map_or(&[], |f| f.cache.visibility(at.region)) }
+            }
         }
     }
 
@@ -225,6 +232,8 @@ impl Guide {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum LightsAt {
     One,
+    /// As many, drawn, as an exit deserves.
+    Some,
     /// Each once.
     Each,
     /// Each as often as an exit deserves.

@@ -197,7 +197,7 @@ impl<'a> Path<'a> {
                 enclosure.closest_point(p).and_then(|to| away(p, to))
             } else {
                 let u = Vec2::new(sampler.random(), sampler.random());
-                let choice = crate::light::Choice::One;
+                let choice = crate::light::Choice::ONE;
                 scene.lights.sample(enclosure.to_render(p), None, choice, sampler.random(), u).map(|light| light.wi)
             };
             followed
@@ -205,9 +205,9 @@ impl<'a> Path<'a> {
         let (sample, shadow_rays) = (&mut self.sample, &mut self.stats.shadow_rays);
         let collide = |collision: &Collision, sampler: &mut Sampler| {
             if let Some(light) = &light {
-                *shadow_rays += 1;
                 let u = Vec2::new(sampler.random(), sampler.random());
-                light.add(collision, enclosure.to_render(collision.p), sampler.random(), u, sample);
+                let cast = light.add(collision, enclosure.to_render(collision.p), sampler.random(), u, sample);
+                *shadow_rays += u64::from(cast);
             }
         };
         let medium = &passage.medium.medium;
@@ -308,9 +308,8 @@ impl<const LIT: bool> Visitor for Collisions<'_, LIT> {
 
     fn collide(&mut self, collision: &Collision, sampler: &mut Sampler) {
         let Some(light) = &self.light else { return };
-        self.shadow_rays += 1;
         let u = Vec2::new(sampler.random(), sampler.random());
         let p = self.passage.enclosure.to_render(collision.p);
-        light.add(collision, p, sampler.random(), u, self.sample);
+        self.shadow_rays += u64::from(light.add(collision, p, sampler.random(), u, self.sample));
     }
 }

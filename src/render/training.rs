@@ -5,11 +5,12 @@
 
 use super::bodies::{needs_records, share_records};
 use crate::flat::RenderSettings;
-use crate::guiding::Guide;
 use crate::guiding::cache::Record;
 use crate::guiding::field::{Field, FieldSettings};
 use crate::guiding::plan::{Plan, Walk};
+use crate::guiding::{ExitLights, Guide};
 use crate::integrator::{PathStats, probe};
+use crate::light::Parts;
 use crate::math::{Frame, Rgb};
 use crate::medium::Medium;
 use crate::sampling::cosine_hemisphere;
@@ -62,6 +63,8 @@ pub fn train(scene: &Scene, settings: &RenderSettings, guide: &mut Guide) -> Tra
     // A body that fills the frame has most of the records, a tooth its share.
     let (shares, small) = share_records(scene, guide, record_count(scene, settings));
     let mut trained = Trained { bodies: [shares.len(), small], ..Trained::default() };
+    let learned = guide.exit_lights == ExitLights::Learned && !shares.is_empty();
+    let parts = if learned { scene.lights.parts() } else { Parts::default() };
     for (instance, count) in shares {
         let Some(boundary) = BoundaryOf::new(scene, guide, instance) else { continue };
         let (found, seen) = match settings.cache_fill.as_str() {
@@ -70,7 +73,8 @@ pub fn train(scene: &Scene, settings: &RenderSettings, guide: &mut Guide) -> Tra
         };
         trained.stats.add(&seen);
         trained.records += found.len() as u64;
-        let field = Field::build(&found, &boundary.medium, boundary.field_settings(settings, guide, found.len()));
+        let of_field = boundary.field_settings(settings, guide, found.len());
+        let field = Field::build(&found, &boundary.medium, &parts, of_field);
         guide.fields[instance as usize] = Some(Box::new(field));
     }
     trained
@@ -210,7 +214,6 @@ impl<'a> BoundaryOf<'a> {
             normals: settings.normals as usize,
             classical: guide.start_fraction(self.plan.walk == Walk::Mixture),
             guided_first: guide.guided_first,
-            lights: self.scene.lights.len(),
             guide_exits: settings.guide_exits && self.plan.walk == Walk::Mixture,
         }
     }
