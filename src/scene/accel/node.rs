@@ -18,21 +18,14 @@ pub(super) const WIDEN: f32 = 1.0 + 16.0 * f32::EPSILON;
 #[derive(Debug, Clone, Copy)]
 #[repr(C, align(32))]
 pub(super) struct Node {
-    /// x, y, z of the minima, then of the maxima, one lane per child. Unused lanes hold the empty box.
-    pub(super) planes: [[f32; 8]; 6],
+    /// By axis, then minimum and maximum, one lane per child. Unused lanes hold the empty box.
+    pub(super) planes: [[[f32; 8]; 2]; 3],
     pub child: [u32; 8],
 }
 
 impl Node {
     pub const EMPTY: Self = Self {
-        planes: [
-            [f32::INFINITY; 8],
-            [f32::INFINITY; 8],
-            [f32::INFINITY; 8],
-            [f32::NEG_INFINITY; 8],
-            [f32::NEG_INFINITY; 8],
-            [f32::NEG_INFINITY; 8],
-        ],
+        planes: [[[f32::INFINITY; 8], [f32::NEG_INFINITY; 8]]; 3],
         child: [UNUSED; 8],
     };
 
@@ -43,8 +36,8 @@ impl Node {
 
     pub fn set(&mut self, slot: usize, bounds: &Aabb, child: u32) {
         for axis in 0..3 {
-            self.planes[axis][slot] = bounds.min[axis];
-            self.planes[axis + 3][slot] = bounds.max[axis];
+            self.planes[axis][0][slot] = bounds.min[axis];
+            self.planes[axis][1][slot] = bounds.max[axis];
         }
         self.child[slot] = child;
     }
@@ -54,7 +47,7 @@ impl Node {
 pub(super) struct BoxRay<L> {
     o: [L; 3],
     inv_d: [L; 3],
-    /// Indices into [`Node::planes`] of the planes the ray meets first.
+    /// Whether the ray meets the minimum (0) or the maximum (1) of an axis first.
     near: [usize; 3],
 }
 
@@ -62,7 +55,7 @@ impl<L: Lanes> BoxRay<L> {
     #[inline(always)]
     pub fn new(ray: &Ray) -> Self {
         // The sign bit, not d < 0: -0.0 gives an inverse of -inf and needs the order that goes with it.
-        let near = |axis: usize| axis + 3 * usize::from(ray.d[axis].is_sign_negative());
+        let near = |axis: usize| usize::from(ray.d[axis].is_sign_negative());
         Self {
             o: [L::splat(ray.o.x), L::splat(ray.o.y), L::splat(ray.o.z)],
             inv_d: [L::splat(1.0 / ray.d.x), L::splat(1.0 / ray.d.y), L::splat(1.0 / ray.d.z)],
@@ -78,15 +71,15 @@ impl<L: Lanes> BoxRay<L> {
     pub fn test(&self, node: &Node, t_max: f32) -> (u32, [f32; 8]) {
         let (mut near, mut far) = (L::splat(0.0), L::splat(t_max));
         for axis in 0..3 {
-            near = self.slab(node, axis, self.near[axis]).max(near);
-            far = self.slab(node, axis, 2 * axis + 3 - self.near[axis]).min(far);
+            near = self.slab(node, axis, self.near[axis] & 1).max(near);
+            far = self.slab(node, axis, (self.near[axis] ^ 1) & 1).min(far);
         }
         (near.le(far.mul(L::splat(WIDEN))), near.store())
     }
 
     /// Distances to one plane of each child.
     #[inline(always)]
-    fn slab(&self, node: &Node, axis: usize, plane: usize) -> L {
-        L::load(&node.planes[plane]).sub(self.o[axis]).mul(self.inv_d[axis])
+    fn slab(&self, node: &Node, axis: usize, side: usize) -> L {
+        L::load(&node.planes[axis][side]).sub(self.o[axis]).mul(self.inv_d[axis])
     }
 }

@@ -4,6 +4,7 @@ use super::Ray;
 use super::aabb::Aabb;
 use super::lanes::{Isa, Lanes, Portable};
 use super::node::{BoxRay, LEAF, Node, WIDEN};
+use std::mem::{MaybeUninit, replace};
 
 /// Nodes in depth-first order, the root first.
 #[derive(Debug, Clone)]
@@ -60,49 +61,68 @@ impl Tree {
     #[inline(always)]
     fn walk_lanes<L: Lanes, V: Visitor>(&self, ray: &Ray, visitor: &mut V) {
         if self.stack <= 128 {
-            self.walk_stack::<L, V>(ray, &mut [Entry::default(); 128], visitor);
+            self.walk_stack::<L, V>(ray, &mut [const { MaybeUninit::uninit() }; 128], visitor);
         } else {
-            self.walk_stack::<L, V>(ray, &mut vec![Entry::default(); self.stack], visitor);
+            self.walk_stack::<L, V>(ray, &mut vec![MaybeUninit::uninit(); self.stack], visitor);
         }
     }
 
+    /// Goes on to the nearest child at once; only the others wait on the stack.
     #[inline(always)]
-    fn walk_stack<L: Lanes, V: Visitor>(&self, ray: &Ray, stack: &mut [Entry], visitor: &mut V) {
+    fn walk_stack<L: Lanes, V: Visitor>(&self, ray: &Ray, stack: &mut [MaybeUninit<Entry>], visitor: &mut V) {
         let boxes = BoxRay::<L>::new(ray);
-        let mut top = 1; // stack[0] is the root, entered at 0.
-        while top > 0 {
-            top -= 1;
-            let Entry { child, near } = stack[top];
-            if near > visitor.t_max() * WIDEN {
-                continue;
+        let (mut top, mut child) = (0, 0); // the root
+        loop {
+            if child & LEAF == 0 {
+                let node = &self.nodes[child as usize];
+                let (mut hits, near) = boxes.test(node, visitor.t_max());
+                if hits != 0 {
+                    let mut nearest = take(node, &near, &mut hits);
+                    let first = top;
+                    while hits != 0 {
+                        let entry = take(node, &near, &mut hits);
+                        let farther = if entry.near < nearest.near { replace(&mut nearest, entry) } else { entry };
+                        insert(stack, first, top, farther);
+                        top += 1;
+                    }
+                    child = nearest.child;
+                    continue;
+                }
+            } else if visitor.leaf::<L>(child & !LEAF) {
+                return;
             }
-            if child & LEAF != 0 {
-                if visitor.leaf::<L>(child & !LEAF) {
+            loop {
+                if top == 0 {
                     return;
                 }
-                continue;
-            }
-            let node = &self.nodes[child as usize];
-            let (mut hits, near) = boxes.test(node, visitor.t_max());
-            let first = top;
-            while hits != 0 {
-                let lane = hits.trailing_zeros() as usize;
-                hits &= hits - 1;
-                let entry = Entry { child: node.child[lane & 7], near: near[lane & 7] };
-                insert(stack, first, top, entry);
-                top += 1;
+                top -= 1;
+                // SAFETY: every entry below `top` was written by `insert`.
+                let entry = unsafe { stack[top].assume_init() };
+                if entry.near <= visitor.t_max() * WIDEN {
+                    child = entry.child;
+                    break;
+                }
             }
         }
     }
 }
 
+/// The child in the lowest lane of `hits`, which loses it.
+#[inline(always)]
+fn take(node: &Node, near: &[f32; 8], hits: &mut u32) -> Entry {
+    let lane = hits.trailing_zeros() as usize & 7;
+    *hits &= *hits - 1;
+    Entry { child: node.child[lane], near: near[lane] }
+}
+
 /// Inserts into the descending run `stack[first..top]`; the nearest ends on top.
 #[inline(always)]
-pub(super) fn insert(stack: &mut [Entry], first: usize, top: usize, entry: Entry) {
+fn insert(stack: &mut [MaybeUninit<Entry>], first: usize, top: usize, entry: Entry) {
     let mut at = top;
-    while at > first && stack[at - 1].near < entry.near {
+    // SAFETY: the run was written entry by entry.
+    while at > first && unsafe { stack[at - 1].assume_init() }.near < entry.near {
         stack[at] = stack[at - 1];
         at -= 1;
     }
-    stack[at] = entry;
+    stack[at] = MaybeUninit::new(entry);
 }
