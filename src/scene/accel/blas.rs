@@ -4,6 +4,7 @@ use super::Ray;
 use super::aabb::Aabb;
 use super::build::binary_tree;
 use super::collapse::collapse;
+use super::pages::huge_pages;
 use super::lanes::Lanes;
 use super::traverse::{Tree, Visitor};
 use super::triangle::{Crossing, Leaf, Shear, WIDTH};
@@ -43,7 +44,7 @@ impl Blas {
             leaves.push(leaf);
             leaves.len() as u32 - 1
         });
-        Self { tree, leaves }
+        Self { tree: Tree { nodes: huge_pages(tree.nodes), ..tree }, leaves: huge_pages(leaves) }
     }
 
     /// The hit with the smallest t in (0, t_max); at equal t the lowest triangle index.
@@ -55,8 +56,8 @@ impl Blas {
     pub fn closest_skip(&self, ray: &Ray, skip: u32) -> Option<TriHit> {
         // Triangle 0 as "none yet" makes t_max exclusive: no index is below it at equal t.
         let best = TriHit { t: ray.t_max, triangle: 0, u: 0.0, v: 0.0 };
-        let mut visitor = Closest { leaves: &self.leaves, shear: Shear::new(ray), skip, best, found: false };
-        self.tree.walk(ray, &mut visitor);
+        let visitor = Closest { leaves: &self.leaves, skip, best, found: false };
+        let visitor = self.tree.walk(ray, visitor);
         visitor.found.then_some(visitor.best)
     }
 
@@ -67,9 +68,8 @@ impl Blas {
 
     /// As [`Blas::any`], without triangle `skip`.
     pub fn any_skip(&self, ray: &Ray, skip: u32) -> bool {
-        let mut visitor = Any { leaves: &self.leaves, shear: Shear::new(ray), skip, t_max: ray.t_max, found: false };
-        self.tree.walk(ray, &mut visitor);
-        visitor.found
+        let visitor = Any { leaves: &self.leaves, skip, t_max: ray.t_max, found: false };
+        self.tree.walk(ray, visitor).found
     }
 
     /// Object-space bounds, empty without triangles; at most a few roundings larger than the points'.
@@ -104,7 +104,6 @@ pub(super) fn crossings<L: Lanes>(leaf: &Leaf, shear: &Shear, mut hit: impl FnMu
 
 struct Closest<'a> {
     leaves: &'a [Leaf],
-    shear: Shear,
     skip: u32,
     best: TriHit,
     found: bool,
@@ -117,8 +116,8 @@ impl Visitor for Closest<'_> {
     }
 
     #[inline(always)]
-    fn leaf<L: Lanes>(&mut self, leaf: u32) -> bool {
-        crossings::<L>(&self.leaves[leaf as usize], &self.shear, |triangle, Crossing { t, u, v }| {
+    fn leaf<L: Lanes>(&mut self, leaf: u32, shear: &Shear) -> bool {
+        crossings::<L>(&self.leaves[leaf as usize], shear, |triangle, Crossing { t, u, v }| {
             let nearer = t < self.best.t || (t == self.best.t && triangle < self.best.triangle);
             if t > 0.0 && nearer && triangle != self.skip {
                 self.best = TriHit { t, triangle, u, v };
@@ -131,7 +130,6 @@ impl Visitor for Closest<'_> {
 
 struct Any<'a> {
     leaves: &'a [Leaf],
-    shear: Shear,
     skip: u32,
     t_max: f32,
     found: bool,
@@ -144,8 +142,8 @@ impl Visitor for Any<'_> {
     }
 
     #[inline(always)]
-    fn leaf<L: Lanes>(&mut self, leaf: u32) -> bool {
-        self.found = crossings::<L>(&self.leaves[leaf as usize], &self.shear, |triangle, Crossing { t, .. }| {
+    fn leaf<L: Lanes>(&mut self, leaf: u32, shear: &Shear) -> bool {
+        self.found = crossings::<L>(&self.leaves[leaf as usize], shear, |triangle, Crossing { t, .. }| {
             t > 0.0 && t < self.t_max && triangle != self.skip
         });
         self.found

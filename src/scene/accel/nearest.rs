@@ -2,7 +2,7 @@
 
 use super::blas::Blas;
 use super::node::LEAF;
-use super::traverse::{Entry, Tree};
+use super::traverse::Tree;
 use super::triangle::Leaf;
 use glam::{DMat3, DVec3, Mat3, Vec3};
 
@@ -130,6 +130,13 @@ impl Leaf {
     }
 }
 
+/// A child and the squared distance to its box.
+#[derive(Debug, Clone, Copy, Default)]
+struct Entry {
+    child: u32,
+    near: f32,
+}
+
 /// Inserts into the descending run `stack[first..top]`; the nearest ends on top.
 fn insert(stack: &mut [Entry], first: usize, top: usize, entry: Entry) {
     let at = first + stack[first..top].partition_point(|e| e.near >= entry.near);
@@ -144,7 +151,7 @@ impl Tree {
         if !p.is_finite() {
             return;
         }
-        let (mut fixed, mut heap); // as in `walk_lanes`
+        let (mut fixed, mut heap); // as in `Tree::walk_lanes`
         let stack: &mut [Entry] = if self.stack <= 128 {
             fixed = [Entry::default(); 128];
             &mut fixed

@@ -14,7 +14,7 @@ pub(super) const WIDTH: usize = 8;
 
 /// Up to eight triangles. Unused lanes hold NaN, which no comparison accepts.
 #[derive(Debug, Clone, Copy)]
-#[repr(C, align(32))]
+#[repr(C, align(64))]
 pub(super) struct Leaf {
     /// Indexed by vertex, axis, lane.
     pub(super) p: [[[f32; 8]; 3]; 3],
@@ -78,7 +78,6 @@ impl Shear {
     /// Zeros among them are still to be decided by [`Shear::crossing`].
     #[inline(always)]
     pub fn edges<L: Lanes>(&self, leaf: &Leaf) -> (u32, [L; 3]) {
-        assert!(self.k[0] < 3 && self.k[1] < 3 && self.k[2] < 3); // once instead of at every load
         let a = self.vertices::<L>(&leaf.p[0]);
         let b = self.vertices::<L>(&leaf.p[1]);
         let c = self.vertices::<L>(&leaf.p[2]);
