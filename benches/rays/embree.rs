@@ -95,8 +95,11 @@ impl Embree {
             }
             let (intersect, occluded) = (symbol(&library, "rtcIntersect1")?, symbol(&library, "rtcOccluded1")?);
             let embree = Self { library, device, intersect, occluded };
-            let watch: unsafe extern "C" fn(Handle, unsafe extern "C" fn(*mut c_void, isize, bool) -> bool, *mut c_void) =
-                embree.symbol("rtcSetDeviceMemoryMonitorFunction");
+            let watch: unsafe extern "C" fn(
+                Handle,
+                unsafe extern "C" fn(*mut c_void, isize, bool) -> bool,
+                *mut c_void,
+            ) = embree.symbol("rtcSetDeviceMemoryMonitorFunction");
             watch(device, monitor, std::ptr::null_mut());
             Ok(embree)
         }
@@ -141,13 +144,12 @@ impl Embree {
                 // SAFETY: twelve floats are read from `columns`.
                 unsafe {
                     let geometry = self.geometry(INSTANCE);
-                    self.symbol::<unsafe extern "C" fn(Handle, Handle)>("rtcSetGeometryInstancedScene")(geometry, of.scene);
-                    self.symbol::<unsafe extern "C" fn(Handle, c_uint, c_uint, *const c_void)>("rtcSetGeometryTransform")(
-                        geometry,
-                        0,
-                        FLOAT3X4_COLUMN_MAJOR,
-                        columns.as_ptr().cast(),
+                    self.symbol::<unsafe extern "C" fn(Handle, Handle)>("rtcSetGeometryInstancedScene")(
+                        geometry, of.scene,
                     );
+                    self.symbol::<unsafe extern "C" fn(Handle, c_uint, c_uint, *const c_void)>(
+                        "rtcSetGeometryTransform",
+                    )(geometry, 0, FLOAT3X4_COLUMN_MAJOR, columns.as_ptr().cast());
                     add(geometry);
                 }
             }

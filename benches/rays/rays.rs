@@ -21,6 +21,8 @@ pub struct RaySets {
     pub diffuse: Vec<Ray>,
     /// From there inward: exponential segments in random directions, up to the surface.
     pub walk: Vec<Ray>,
+    /// Diagonal of all there is.
+    pub size: f32,
 }
 
 impl RaySets {
@@ -39,7 +41,7 @@ impl RaySets {
                 segments(subject, p - offset, down, diagonal / MEAN_FREE_PATHS, random, &mut walk);
             }
         }
-        Self { primary, diffuse, walk }
+        Self { primary, diffuse, walk, size: bounds(subject).extent().length() }
     }
 }
 
@@ -55,7 +57,8 @@ fn primary(subject: &Subject, random: &mut Random) -> Vec<Ray> {
         for pixel in 0..TILE * TILE {
             let x = tile % (SIDE / TILE) * TILE + pixel % TILE;
             let y = tile / (SIDE / TILE) * TILE + pixel / TILE;
-            let film = (Vec2::new(x as f32 + random.unit(), y as f32 + random.unit()) / SIDE as f32 * 2.0 - 1.0) * radius;
+            let film =
+                (Vec2::new(x as f32 + random.unit(), y as f32 + random.unit()) / SIDE as f32 * 2.0 - 1.0) * radius;
             let target = centre + (right * film.x + up * film.y) * 0.9;
             rays.push(Ray::new(eye, (target - eye).normalize(), f32::INFINITY));
         }

@@ -101,7 +101,8 @@ impl TriangleMesh {
     }
 
     fn normalized(mut self) -> Self {
-        let (low, high) = self.points.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), &p| (l.min(p), h.max(p)));
+        let (low, high) =
+            self.points.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), &p| (l.min(p), h.max(p)));
         let (centre, scale) = ((low + high) * 0.5, 1.0 / low.distance(high));
         self.points.iter_mut().for_each(|p| *p = (*p - centre) * scale);
         self

@@ -4,8 +4,8 @@ use super::Ray;
 use super::aabb::Aabb;
 use super::build::binary_tree;
 use super::collapse::collapse;
-use super::pages::huge_pages;
 use super::lanes::Lanes;
+use super::pages;
 use super::traverse::{Tree, Visitor};
 use super::triangle::{Crossing, Leaf, Shear, WIDTH};
 use glam::Vec3;
@@ -37,14 +37,15 @@ impl Blas {
     pub fn build(points: &[Vec3], triangles: &[[u32; 3]]) -> Self {
         let corner = |i: u32| points.get(i as usize).copied().unwrap_or(Vec3::NAN);
         let boxes: Vec<Aabb> = triangles.iter().map(|t| Aabb::of_triangle(t.map(corner))).collect();
-        let mut leaves = Vec::new();
-        let tree = collapse(&binary_tree(&boxes, WIDTH), &boxes, |ids| {
+        let binary = binary_tree(&boxes, WIDTH);
+        let mut leaves = pages::with_capacity(binary.nodes.iter().filter(|node| node.is_leaf()).count());
+        let tree = collapse(&binary, &boxes, |ids| {
             let mut leaf = Leaf::EMPTY;
             ids.iter().enumerate().for_each(|(lane, &id)| leaf.set(lane, id, triangles[id as usize].map(corner)));
             leaves.push(leaf);
             leaves.len() as u32 - 1
         });
-        Self { tree: Tree { nodes: huge_pages(tree.nodes), ..tree }, leaves: huge_pages(leaves) }
+        Self { tree, leaves }
     }
 
     /// The hit with the smallest t in (0, t_max); at equal t the lowest triangle index.

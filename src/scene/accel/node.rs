@@ -24,10 +24,7 @@ pub(super) struct Node {
 }
 
 impl Node {
-    pub const EMPTY: Self = Self {
-        planes: [[[f32::INFINITY; 8], [f32::NEG_INFINITY; 8]]; 3],
-        child: [UNUSED; 8],
-    };
+    pub const EMPTY: Self = Self { planes: [[[f32::INFINITY; 8], [f32::NEG_INFINITY; 8]]; 3], child: [UNUSED; 8] };
 
     /// Slots in use: the children fill them from the first on.
     pub fn count(&self) -> usize {

@@ -2,18 +2,14 @@
 //! otherwise wait for page tables as often as for the tree (Embree asks for them, too).
 
 /// Tables smaller than this gain nothing.
-const LEAST: usize = 8 << 20;
+const LEAST: usize = 4 << 20;
 
-/// The same values, in no more memory than they need.
-pub(super) fn huge_pages<T: Copy>(mut values: Vec<T>) -> Vec<T> {
-    if size_of_val(values.as_slice()) < LEAST {
-        values.shrink_to_fit();
-        return values;
+pub(super) fn with_capacity<T>(capacity: usize) -> Vec<T> {
+    let mut values: Vec<T> = Vec::with_capacity(capacity);
+    if capacity * size_of::<T>() >= LEAST {
+        advise(values.as_mut_ptr().cast(), capacity * size_of::<T>());
     }
-    let mut moved: Vec<T> = Vec::with_capacity(values.len());
-    advise(moved.as_mut_ptr().cast(), moved.capacity() * size_of::<T>());
-    moved.extend_from_slice(&values);
-    moved
+    values
 }
 
 /// Must come before the memory is first written. Pages that are only in part of the range stay as they are.

@@ -128,12 +128,7 @@ impl Tree {
 
     /// Goes on to the nearest child at once; only the others wait on the stack.
     #[inline(always)]
-    fn walk_stack<L: Lanes, V: Visitor>(
-        &self,
-        ray: &Ray,
-        entries: &mut [MaybeUninit<Entry>],
-        mut visitor: V,
-    ) -> V {
+    fn walk_stack<L: Lanes, V: Visitor>(&self, ray: &Ray, entries: &mut [MaybeUninit<Entry>], mut visitor: V) -> V {
         // Made here and not by the visitor's maker: across the call it would go through memory.
         let (boxes, shear) = (BoxRay::<L>::new(ray), Shear::new(ray));
         let mut stack = Stack { entries, top: 0 };
