@@ -12,7 +12,7 @@ SOURCES := pyproject.toml Cargo.toml Cargo.lock \
 # pyo3 asks this interpreter for its build settings, also under clippy and rustdoc.
 export PYO3_PYTHON := $(CURDIR)/$(BIN)/python
 
-.PHONY: render test stability lint format clean
+.PHONY: render test stability bench-rays lint format clean
 .DELETE_ON_ERROR:
 
 render: $(INSTALLED)
@@ -26,6 +26,20 @@ test: $(TEST_INSTALLED) lint
 # The hard cases, some minutes: out/stability.html and out/stability.csv.
 stability: $(TEST_INSTALLED)
 	PYTHONPATH=tests $(BIN)/python -m stability --out out
+
+# dermis beside Embree on the same rays, a few minutes. Embree comes with PyPI's embreex; scenes of ../shared where it is.
+RAY_SCENES := $(firstword $(wildcard ../shared/scenes/backlit_bunny.usda) usd_scenes/orc.usda) \
+    $(wildcard $(addprefix ../shared/scenes/,card_skull.usda creature_spot.usda envmap_dragon.usda))
+
+bench-rays: $(INSTALLED)
+	mkdir -p out/rays
+	for stage in $(RAY_SCENES); do \
+	    $(BIN)/dermis flatten $$stage out/rays/$$(basename $$stage .usda).dermis || exit 1; \
+	done
+	$(BIN)/python -m pip install --disable-pip-version-check --quiet 'embreex>=4.4,<5' || \
+	    echo "bench-rays: pip cannot install embreex here" >&2
+	cargo bench --bench rays -- --embree "$$(find $(VENV)/lib -name 'libembree4*' | head -n 1)" \
+	    $(foreach stage,$(RAY_SCENES),out/rays/$(basename $(notdir $(stage))).dermis)
 
 lint: $(TEST_INSTALLED)
 	cargo fmt --all --check

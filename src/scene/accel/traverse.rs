@@ -129,19 +129,20 @@ impl Tree {
     /// Goes on to the nearest child at once; only the others wait on the stack.
     #[inline(always)]
     fn walk_stack<L: Lanes, V: Visitor>(&self, ray: &Ray, entries: &mut [MaybeUninit<Entry>], mut visitor: V) -> V {
-        // Made here and not by the visitor's maker: across the call it would go through memory.
-        let (boxes, shear) = (BoxRay::<L>::new(ray), Shear::new(ray));
+        let boxes = BoxRay::<L>::new(ray);
+        let mut shear = None; // many a short segment meets no leaf
         let mut stack = Stack { entries, top: 0 };
         let mut child = 0; // the root
         loop {
             if child & LEAF == 0 {
-                let node = &self.nodes[child as usize];
+                // SAFETY: `collapse` makes every reference, to nodes that are there.
+                let node = unsafe { self.nodes.get_unchecked(child as usize) };
                 let (hits, near) = boxes.test(node, visitor.t_max());
                 if hits != 0 {
                     child = nearest(node, &near, hits, &mut stack);
                     continue;
                 }
-            } else if visitor.leaf::<L>(child & !LEAF, &shear) {
+            } else if visitor.leaf::<L>(child & !LEAF, made(&mut shear, ray)) {
                 return visitor;
             }
             match stack.pop(visitor.t_max() * WIDEN) {
@@ -185,4 +186,13 @@ fn take(node: &Node, near: &[f32; 8], hits: &mut u32) -> Entry {
     let lane = hits.trailing_zeros() as usize & 7;
     *hits &= *hits - 1;
     Entry::new(node.child[lane], near[lane])
+}
+
+/// A method of `Option` would take a closure, which need not be inlined (see `lanes`).
+#[inline(always)]
+fn made<'a>(shear: &'a mut Option<Shear>, ray: &Ray) -> &'a Shear {
+    if shear.is_none() {
+        *shear = Some(Shear::new(ray));
+    }
+    shear.as_ref().expect("made above")
 }
