@@ -27,6 +27,15 @@ impl<T: Copy + std::ops::Mul<f32, Output = T> + std::ops::Add<Output = T>> Attri
         };
         a * (1.0 - u - v) + b * u + c * v
     }
+
+    /// Bytes beside the value itself.
+    fn memory(&self) -> usize {
+        match self {
+            Attribute::Constant(_) => 0,
+            Attribute::Point(values) | Attribute::Triangle(values) => size_of_val(values.as_slice()),
+            Attribute::Corner(values) => size_of_val(values.as_slice()),
+        }
+    }
 }
 
 pub struct Geometry {
@@ -95,8 +104,12 @@ impl Geometry {
         used
     }
 
+    /// Bytes, attributes and BVH included.
     pub fn memory(&self) -> usize {
-        self.points.len() * 12 + self.triangles.len() * 12 + self.blas.memory()
+        let attributes = [&self.normals, &self.display_color].into_iter().flatten().map(Attribute::memory);
+        let slots = self.slots.as_ref().map_or(0, |slots| size_of_val(slots.as_slice()));
+        let indexed = size_of_val(self.points.as_slice()) + size_of_val(self.triangles.as_slice());
+        indexed + self.blas.memory() + attributes.sum::<usize>() + slots
     }
 
     /// Edges (between points welded by position) that do not join faces in pairs: what keeps the mesh from
