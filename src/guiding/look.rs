@@ -120,6 +120,7 @@ pub fn explain(scene: &Scene, settings: &RenderSettings) -> Vec<Explanation> {
     let cached = count(&|plan| plan.needs_cache());
     let exact = count(&|plan| plan.needs_cache() && plan.exact);
     let mixtures = count(&|plan| plan.walk == Walk::Mixture && plan.exact);
+    let bent = count(&|plan| plan.bends);
     let lights = ExitLights::of(scene, settings);
     let line = |capability, on, why| Explanation { capability, on, why };
     let by_lights = lights == ExitLights::Learned && !plans.is_empty();
@@ -132,6 +133,13 @@ pub fn explain(scene: &Scene, settings: &RenderSettings) -> Vec<Explanation> {
             (n, _) => format!("walks in {} choose their slab normals by the light there", media(n)),
         }
     );
+    let bent_why = match settings.refracted_light.as_str() {
+        "auto" => format!("collisions in {} see small lights through its smooth boundary", media(bent)),
+        asked => format!(
+            "collisions see lights through smooth boundaries in {}; refractedLight={asked} asked for",
+            media(bent)
+        ),
+    };
     vec![
         line("boundary cache", cached > 0 || by_lights, cache),
         line(
@@ -144,6 +152,7 @@ pub fn explain(scene: &Scene, settings: &RenderSettings) -> Vec<Explanation> {
             settings.control_variates && exact > 0,
             format!("densities of the techniques in {}, fitted between passes", media(exact)),
         ),
+        line("refracted light", bent > 0, bent_why),
         line("exit lights", !plans.is_empty(), lights.explain(scene.lights.len(), &settings.exit_lights)),
     ]
 }

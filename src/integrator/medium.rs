@@ -1,6 +1,6 @@
 //! Passing an object's inside: sub-walks from boundary to boundary until the light gets out.
 
-use super::direct::CollisionLight;
+use super::collision::{Bent, CollisionLight, Refracted};
 use super::nest::Inside;
 use super::watch::drawn;
 use super::{Bucket, Path, Previous};
@@ -23,7 +23,11 @@ use glam::{Vec2, Vec3};
 struct Passage<'a> {
     enclosure: InstanceEnclosure<'a>,
     instance: u32,
+    /// Of the entry.
+    surface: u32,
     boundary: Boundary,
+    /// The boundary, where light is sampled through it.
+    bent: Option<Bent<'a>>,
     plan: &'a Plan,
     medium: &'a GuidedMedium,
     /// No boundary was met yet.
@@ -47,12 +51,14 @@ impl<'a> Path<'a> {
             self.bucket = Bucket::Subsurface;
         }
         let enclosure = InstanceEnclosure::new(scene, si.instance);
-        let mut passage = Passage { enclosure, instance: si.instance, boundary, plan, medium, first: self.depth == 0 };
+        let bent = if plan.bends { Bent::new(scene, si.instance, si.surface) } else { None };
+        let (instance, surface, first) = (si.instance, si.surface, self.depth == 0);
+        let mut passage = Passage { enclosure, instance, surface, boundary, bent, plan, medium, first };
         let entry = BoundaryHit::of(hit);
         let p = passage.enclosure.point(&entry);
         let mut start = Start { p, d: wi, normal: si.ng, hit: entry, weight: Rgb::ONE };
         loop {
-            let (at, d) = self.sub_walk(&passage, start, sampler)?;
+            let (at, d, scattered) = self.sub_walk(&passage, start, sampler)?;
             passage.first = false;
             let exit = scene.interaction(&passage.enclosure.surface_hit(&at), d, Side::Inside);
             match boundary {
@@ -68,31 +74,45 @@ impl<'a> Path<'a> {
                             self.cross()?;
                             start = Start { p, d: reflected, normal: exit.ng, hit: at, weight: Rgb::ONE };
                         }
-                        None => return Some(()),
+                        None => {
+                            self.remember(&passage, scattered, p);
+                            return Some(());
+                        }
                     }
                 }
             }
         }
     }
 
-    /// One walk to the next boundary point: where, and in which direction it arrives.
+    /// What MIS needs where the segment out of a bent boundary at `p` (walk space) meets a light.
+    fn remember(&mut self, passage: &Passage, scattered: Option<(Vec3, f32)>, p: Vec3) {
+        let (Some((x, pdf)), true) = (scattered, passage.bent.is_some()) else { return };
+        let (instance, surface) = (passage.instance, passage.surface);
+        self.previous = Previous::Refracted(Refracted { instance, surface, x, p, pdf });
+    }
+
+    /// One walk to the next boundary point: where, in which direction it arrives, and its last collision with the pdf of
+    /// that direction.
     fn sub_walk(
         &mut self,
         passage: &Passage<'a>,
         mut start: Start<BoundaryHit>,
         sampler: &mut Sampler,
-    ) -> Option<(BoundaryHit, Vec3)> {
+    ) -> Option<(BoundaryHit, Vec3, Option<(Vec3, f32)>)> {
         let scale = self.throughput.max_element();
         (scale > 0.0).then_some(())?;
         start.weight = self.throughput / scale;
+        let (scene, instance, bucket, bent) = (self.scene, passage.instance, self.bucket, passage.bent);
+        let light = |around, bent| CollisionLight { scene, instance, around, scale, bucket, bent };
         let end = match passage.boundary {
             // Light reaches collisions straight only where the boundary does not bend it.
             Boundary::IndexMatched => {
                 let medium = Some(passage.medium.medium);
-                let inside = self.enter(Inside { instance: passage.instance, medium })?;
-                let (scene, instance) = (self.scene, passage.instance);
-                let light = CollisionLight { scene, instance, inside, scale, bucket: self.bucket };
+                let light = light(self.enter(Inside { instance, medium })?, None);
                 self.walk::<true>(passage, start, scale, Some(light), sampler)
+            }
+            Boundary::Dielectric if bent.is_some() => {
+                self.walk::<true>(passage, start, scale, Some(light(self.inside, bent)), sampler)
             }
             _ => self.walk::<false>(passage, start, scale, None, sampler),
         };
@@ -102,7 +122,7 @@ impl<'a> Path<'a> {
             let lights = crate::guiding::LightsAt::One;
             self.previous = Previous::Sampled { p: passage.enclosure.to_render(p), n: None, pdf, lights };
         }
-        Some((hit, d))
+        Some((hit, d, scattered))
     }
 
     /// The walk that the plan says.
@@ -193,9 +213,7 @@ impl<'a> Path<'a> {
         let (sample, shadow_rays) = (&mut self.sample, &mut self.stats.shadow_rays);
         let collide = |collision: &Collision, sampler: &mut Sampler| {
             if let Some(light) = &light {
-                *shadow_rays += 1;
-                let u = Vec2::new(sampler.random(), sampler.random());
-                light.add(collision, enclosure.to_render(collision.p), sampler.random(), u, sample);
+                *shadow_rays += light.add(collision, enclosure, sampler, sample);
             }
         };
         let medium = &passage.medium.medium;
@@ -296,9 +314,6 @@ impl<const LIT: bool> Visitor for Collisions<'_, LIT> {
 
     fn collide(&mut self, collision: &Collision, sampler: &mut Sampler) {
         let Some(light) = &self.light else { return };
-        self.shadow_rays += 1;
-        let u = Vec2::new(sampler.random(), sampler.random());
-        let p = self.passage.enclosure.to_render(collision.p);
-        light.add(collision, p, sampler.random(), u, self.sample);
+        self.shadow_rays += light.add(collision, &self.passage.enclosure, sampler, self.sample);
     }
 }

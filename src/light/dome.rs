@@ -17,6 +17,9 @@ use crate::{
 use glam::{Mat3, Vec2, Vec3};
 use std::f64;
 
+/// Pixels this much brighter than the mean of the sphere are suns: together they fill a 25th of it at most.
+const SUN: f64 = 25.0;
+
 #[derive(Debug, Clone)]
 pub struct Dome {
     radiance: Rgb,
@@ -67,6 +70,11 @@ impl Dome {
         self.radiance * self.map.as_ref().map_or(Rgb::ONE, |map| map.lookup(wi))
     }
 
+    /// Whether half of its light or more comes from small suns. Looks at every pixel.
+    pub fn has_suns(&self) -> bool {
+        self.map.as_ref().is_some_and(|map| map.share_of_suns() >= 0.5)
+    }
+
     /// Irradiance if the average came from everywhere.
     pub fn importance(&self) -> f32 {
         PI * self.average
@@ -106,6 +114,17 @@ impl Map {
     /// Mean magnitude over the sphere: the weights carry 2 of height for each of `width` columns.
     fn average(&self) -> f32 {
         (self.choice.sum() / (2.0 * self.texels.width() as f64)) as f32
+    }
+
+    /// Share of the light that comes from pixels [`SUN`] times as bright as the mean or more.
+    fn share_of_suns(&self) -> f64 {
+        let (w, h) = (self.texels.width(), self.texels.height());
+        let row = |y: usize| {
+            let of_sphere = 0.5 * (self.bands[y] - self.bands[y + 1]) / w as f64;
+            let shares = (0..w).map(move |x| self.choice.probability(x, y));
+            shares.filter(move |share| *share >= SUN * of_sphere).sum::<f64>()
+        };
+        (0..h).map(row).sum()
     }
 
     fn sample(&self, u: Vec2) -> (Vec3, f32) {
