@@ -203,3 +203,94 @@ impl Refracted {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::manifold::tests::ball;
+    use super::*;
+    use crate::bsdf::{Side, fresnel::refract};
+    use crate::flat::{Light, LightShape};
+    use crate::math::{Frame, TAU};
+    use glam::DVec3;
+
+    /// A light of `shape` at `at` whose -Z looks at the origin.
+    fn light(shape: LightShape, at: DVec3) -> Light {
+        let mut light = Light { shape, ..Light::default() };
+        let z = at.normalize();
+        let x = DVec3::Y.cross(z).normalize();
+        for (row, axis) in light.transform.iter_mut().zip([x, z.cross(x), z, at]) {
+            row[..3].copy_from_slice(&axis.to_array());
+        }
+        light
+    }
+
+    /// Half angle of the directions that are counted: wider than any of the lights is seen.
+    const CONE: f32 = 0.6;
+
+    /// Mean and standard error.
+    fn statistics(sum: f64, squares: f64, n: f64) -> (f64, f64) {
+        let mean = sum / n;
+        (mean, ((squares / n - mean * mean) / n).sqrt())
+    }
+
+    /// Solid angle under which a collision sees the light on ways that the search finds: by connecting, 1 / density on
+    /// average; by chance, the share of directions that refract into the light and find themselves. A density that is
+    /// 2 % off anywhere on its way from the light to the collision is seen.
+    #[test]
+    fn connections_and_chance_agree_about_solid_angles() {
+        let at = DVec3::new(0.7, 0.5, 3.4);
+        let shapes = [
+            (LightShape::Rect { width: 1.0, height: 0.7, texture: String::new() }, 1.4),
+            (LightShape::Sphere { radius: 0.5 }, 1.2),
+            (LightShape::Disk { radius: 0.4 }, 1.6),
+            (LightShape::Cylinder { length: 1.0, radius: 0.25 }, 1.33),
+            (LightShape::Distant { angle: 20.0 }, 1.5),
+        ];
+        for (i, (shape, ior)) in shapes.into_iter().enumerate() {
+            let scene = ball(0.06, ior, vec![light(shape.clone(), at)]);
+            let bent = Bent::new(&scene, 0, 0).expect("a smooth dielectric");
+            let x = Vec3::new(0.1, -0.2, 0.9);
+            let to_render = scene.instances[0].to_render.translation;
+            let frame = Frame::from_normal((at.as_vec3() - x).normalize());
+            let seen = |d: Vec3| d.dot(frame.n) > CONE.cos();
+            let mut sampler = Sampler::new(11, i as u32, 0);
+
+            let (n, mut sum, mut squares) = (60_000, 0.0, 0.0);
+            for _ in 0..n {
+                let u = Vec2::new(sampler.random(), sampler.random());
+                let Some(emitter) = scene.lights.sample_emitter(x + to_render, sampler.random(), u) else { continue };
+                // The medium passes everything: roulette is that of the constants alone.
+                let found = bent.connect(x, &emitter, |_| true).into_iter().flatten().filter(|(at, _)| seen(at.d));
+                let angle: f64 = found.map(|(_, density)| f64::from(TRIED * SEARCHED / density)).sum();
+                (sum, squares) = (sum + angle, squares + angle * angle);
+            }
+            let (connected, error) = statistics(sum, squares, f64::from(n));
+
+            let (n, mut hits) = (1_000_000, 0.0);
+            for _ in 0..n {
+                let (cos, phi) = (1.0 - sampler.random() * (1.0 - CONE.cos()), TAU * sampler.random());
+                let sin = (1.0 - cos * cos).sqrt();
+                let d = frame.to_world(Vec3::new(sin * phi.cos(), sin * phi.sin(), cos));
+                let hit = scene.boundary_from_within(0, x, d, f32::INFINITY).expect("closed");
+                let exit = scene.interaction(&hit, d, Side::Inside);
+                let Some(v) = refract(-d, -exit.frame.n, 1.0 / ior) else { continue };
+                let p = exit.p - to_render;
+                let last = Refracted { instance: 0, surface: 0, x, p, pdf: 1.0 };
+                let weight = if matches!(shape, LightShape::Distant { .. }) {
+                    last.weight(&scene, |x| scene.lights.emitter_towards(0, x, v))
+                } else {
+                    let Some(hit) = scene.lights.intersect(0, exit.p, v, f32::INFINITY) else { continue };
+                    last.weight(&scene, |x| scene.lights.emitter_at(0, x, exit.p + v * hit.t, &hit))
+                };
+                hits += f64::from(u8::from(weight < 1.0));
+            }
+            let cone = f64::from(TAU * (1.0 - CONE.cos()));
+            let (share, of_chance) = statistics(hits, hits, f64::from(n));
+            let (chance, of_chance) = (cone * share, cone * of_chance);
+            let (ratio, error) = (connected / chance, error.hypot(of_chance) / chance);
+            eprintln!("{shape:?}: {connected:.5} sr, {ratio:.4} +- {error:.4} of chance");
+            assert!(error < 4.5e-3, "{shape:?}: +- {error} sees no 2 %");
+            assert!((ratio - 1.0).abs() < 4.0 * error, "{shape:?}: {ratio} +- {error}");
+        }
+    }
+}

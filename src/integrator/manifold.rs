@@ -297,17 +297,17 @@ impl<'a> Window<'a> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::bsdf::fresnel::refract;
     use crate::delegate::{DirtyBits, RenderDelegate};
-    use crate::flat::{Camera, Material, Mesh, PreviewSurface, Prim, RenderSettings};
+    use crate::flat::{Camera, Light, Material, Mesh, PreviewSurface, Prim, RenderSettings};
     use crate::sampling::sampler::Sampler;
     use crate::sampling::uniform_sphere;
     use std::sync::Arc;
 
-    /// A ball with waves of the given height, interpolated normals, scaled by (1, 1, 2).
-    fn ball(waves: f32, ior: f32) -> Arc<Scene> {
+    /// A ball with waves of the given height, interpolated normals, scaled by (1, 1, 2), of glass with hardly any medium.
+    pub fn ball(waves: f32, ior: f32, lights: Vec<Light>) -> Arc<Scene> {
         const N: usize = 24;
         let point = |i: usize| {
             let (ring, segment) = (i / (2 * N), i % (2 * N));
@@ -334,6 +334,7 @@ mod tests {
         mesh.transform[2][2] = 2.0;
         let material = Material::UsdPreviewSurface(PreviewSurface {
             subsurface: 1.0,
+            subsurface_radius: [1e6; 3],
             subsurface_boundary: "dielectric".into(),
             ior,
             roughness: 0.0,
@@ -343,6 +344,9 @@ mod tests {
         delegate.sync("/O", Prim::Mesh(mesh), DirtyBits::ALL);
         delegate.sync("/M", Prim::Material(material), DirtyBits::ALL);
         delegate.sync("/C", Prim::Camera(Camera::default()), DirtyBits::ALL);
+        for (i, light) in lights.into_iter().enumerate() {
+            delegate.sync(&format!("/L{i}"), Prim::Light(light), DirtyBits::ALL);
+        }
         delegate.set_settings(RenderSettings { camera: "/C".into(), ..RenderSettings::default() }).expect("settings");
         delegate.commit().expect("commit");
         delegate.scene().expect("scene").clone()
@@ -373,7 +377,7 @@ mod tests {
     fn spread_is_the_ratio_of_solid_angles() {
         let mut sampler = Sampler::new(5, 0, 0);
         for (waves, ior) in [(0.0, 1.2), (0.0, 1.5), (0.1, 1.4), (0.1, 2.0), (0.1, 0.75)] {
-            let scene = ball(waves, ior);
+            let scene = ball(waves, ior, Vec::new());
             let window = window(&scene);
             let mut errors = Vec::new();
             while errors.len() < 500 {
@@ -405,7 +409,7 @@ mod tests {
     fn paths_find_themselves_again() {
         let mut sampler = Sampler::new(6, 0, 0);
         for (waves, ior, least) in [(0.0, 1.2, 0.9), (0.0, 1.5, 0.9), (0.1, 1.4, 0.5), (0.1, 2.0, 0.3)] {
-            let scene = ball(waves, ior);
+            let scene = ball(waves, ior, Vec::new());
             let window = window(&scene);
             let (mut ways, mut same) = (0, 0);
             while ways < 4000 {
