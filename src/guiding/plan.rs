@@ -110,7 +110,7 @@ fn automatic(interior: &Interior, thickness: f32, lit: bool, exact: bool) -> Pla
     }
     if interior.boundary == Boundary::Dielectric && depth < THIN_DIELECTRIC {
         return classical(format!(
-            "{depth:.0} mean free paths across behind a dielectric: walks are short, light is met by chance"
+            "{depth:.0} mean free paths across behind a dielectric: walks are too short for guiding to pay"
         ));
     }
     Plan { walk: Walk::Mixture, exact, bends: false, why: format!("{depth:.0} mean free paths across, lit") }

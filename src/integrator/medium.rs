@@ -19,6 +19,9 @@ use crate::subsurface::technique::GuidedMedium;
 use crate::subsurface::walk::{Along, Collision, walk};
 use glam::{Vec2, Vec3};
 
+/// The last collision of a walk and the solid-angle pdf with which it went on, as in [`WalkEnd::Boundary`].
+type Scattered = Option<(Vec3, f32)>;
+
 /// The medium that a path is in.
 struct Passage<'a> {
     enclosure: InstanceEnclosure<'a>,
@@ -85,7 +88,7 @@ impl<'a> Path<'a> {
     }
 
     /// What MIS needs where the segment out of a bent boundary at `p` (walk space) meets a light.
-    fn remember(&mut self, passage: &Passage, scattered: Option<(Vec3, f32)>, p: Vec3) {
+    fn remember(&mut self, passage: &Passage, scattered: Scattered, p: Vec3) {
         let (Some((x, pdf)), true) = (scattered, passage.bent.is_some()) else { return };
         let (instance, surface) = (passage.instance, passage.surface);
         self.previous = Previous::Refracted(Refracted { instance, surface, x, p, pdf });
@@ -98,7 +101,7 @@ impl<'a> Path<'a> {
         passage: &Passage<'a>,
         mut start: Start<BoundaryHit>,
         sampler: &mut Sampler,
-    ) -> Option<(BoundaryHit, Vec3, Option<(Vec3, f32)>)> {
+    ) -> Option<(BoundaryHit, Vec3, Scattered)> {
         let scale = self.throughput.max_element();
         (scale > 0.0).then_some(())?;
         start.weight = self.throughput / scale;
