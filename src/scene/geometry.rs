@@ -19,13 +19,24 @@ pub enum Attribute<T> {
 impl<T: Copy + std::ops::Mul<f32, Output = T> + std::ops::Add<Output = T>> Attribute<T> {
     /// Linear interpolation at barycentrics (1 - u - v, u, v).
     pub fn at(&self, triangle: usize, corners: [u32; 3], u: f32, v: f32) -> T {
-        let [a, b, c] = match self {
-            Attribute::Constant(value) => return *value,
-            Attribute::Triangle(values) => return values[triangle],
+        match self {
+            Attribute::Constant(value) => *value,
+            Attribute::Triangle(values) => values[triangle],
+            _ => {
+                let [a, b, c] = self.corners(triangle, corners);
+                a * (1.0 - u - v) + b * u + c * v
+            }
+        }
+    }
+
+    /// Values at the corners of a triangle.
+    pub fn corners(&self, triangle: usize, corners: [u32; 3]) -> [T; 3] {
+        match self {
+            Attribute::Constant(value) => [*value; 3],
+            Attribute::Triangle(values) => [values[triangle]; 3],
             Attribute::Point(values) => corners.map(|i| values[i as usize]),
             Attribute::Corner(values) => values[triangle],
-        };
-        a * (1.0 - u - v) + b * u + c * v
+        }
     }
 
     /// Bytes beside the value itself.
