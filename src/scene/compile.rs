@@ -1,8 +1,9 @@
 //! From the flattened scene to the compiled one: geometry is kept from commit to commit, the rest is cheap.
 
 use super::accel::{Aabb, Tlas};
-use super::{Coating, Geometry, Instance, Interior, Needs, Scene};
-use crate::bsdf::{self, Boundary, InteriorAlbedo, Surface};
+use super::image::{ImageCache, build_images};
+use super::{Coating, Driven, Geometry, Instance, Interior, Needs, Scene};
+use crate::bsdf::{self, Boundary, InteriorAlbedo, OfMesh, Surface};
 use crate::camera::Camera;
 use crate::error::{Error, Result, Warning};
 use crate::flat::{self, FlatScene, LightShape};
@@ -33,10 +34,11 @@ pub struct CompileStats {
 /// The shortest mean free path, stage units: 1 / sigma_t and sigma_t * t stay finite in f32.
 const MIN_MEAN_FREE_PATH: f32 = 1e-30;
 
-/// Compiles a validated scene; `cache` keeps geometry between calls.
+/// Compiles a validated scene; `cache` and `images` keep geometry and images between calls.
 pub fn compile(
     flat: &FlatScene,
     cache: &mut GeometryCache,
+    images: &mut ImageCache,
     warnings: &mut Vec<Warning>,
 ) -> Result<(Scene, CompileStats)> {
     let start = std::time::Instant::now();
@@ -46,8 +48,10 @@ pub fn compile(
     })?;
     let camera = Camera::compile(camera, &flat.settings);
     let blas_built = build_geometry(flat, cache);
+    build_images(&flat.images, images);
 
-    let mut builder = Builder { flat, origin: camera.origin, warnings, needs: Needs::default(), surfaces: Vec::new() };
+    let needs = Needs::default();
+    let mut builder = Builder { flat, origin: camera.origin, images, warnings, needs, surfaces: Vec::new() };
     let (mut instances, emitters) = builder.place(cache);
     let lights = builder.lights(&mut instances, emitters);
     builder.count(&camera, &instances, &lights);
@@ -109,6 +113,7 @@ type Emitters = BTreeMap<String, Vec<[Vec3; 3]>>;
 struct Builder<'a> {
     flat: &'a FlatScene,
     origin: DVec3,
+    images: &'a ImageCache,
     warnings: &'a mut Vec<Warning>,
     needs: Needs,
     surfaces: Vec<Coating>,
@@ -188,19 +193,28 @@ impl Builder<'_> {
             let prim = if material.is_empty() { path } else { material };
             let standard = flat::Material::default();
             let material = self.flat.materials.get(material).unwrap_or(&standard);
-            let surface = Surface::compile(
-                material,
-                display_color,
-                geometry.display_opacity,
-                boundary_named(&self.flat.settings.subsurface_boundary),
-                prim,
-                self.warnings,
-            );
+            let display_opacity = geometry.display_opacity;
+            let boundary_override = boundary_named(&self.flat.settings.subsurface_boundary);
+            let of_mesh = OfMesh { display_color, display_opacity, boundary_override };
+            let (driven, surface) = match Driven::compile(material, geometry, of_mesh, self.images, prim, self.warnings) {
+                Some((driven, typical)) => (Some(Box::new(driven)), typical),
+                None => {
+                    let surface = Surface::compile(
+                        material,
+                        display_color,
+                        display_opacity,
+                        boundary_override,
+                        prim,
+                        self.warnings,
+                    );
+                    (None, surface)
+                }
+            };
             let interior = surface.interior().map(|i| compile_interior(&i));
             if let Some(interior) = &interior {
                 self.warn_if_open(path, geometry, interior.medium.scatters());
             }
-            self.surfaces.push(Coating { surface, interior });
+            self.surfaces.push(Coating { surface, interior, driven });
         }
         first
     }
@@ -242,11 +256,14 @@ impl Builder<'_> {
         needs.lights = lights.len() as u32;
         needs.infinite_lights = lights.infinite().len() as u32;
         needs.mesh_lights = instances.iter().filter(|i| i.light.is_some()).count() as u32;
-        needs.textures = self.flat.textures.len() as u32;
+        needs.textures = (self.flat.textures.len() + self.images.len()) as u32;
+        needs.texture_bytes = self.images.values().map(|image| image.memory() as u64).sum();
         needs.depth_of_field = camera.has_depth_of_field();
         needs.aovs = self.flat.settings.aovs.clone();
         for coating in &self.surfaces {
-            needs.transparency |= !coating.surface.is_opaque();
+            let driven = coating.driven.as_deref();
+            needs.driven_surfaces += u32::from(driven.is_some());
+            needs.transparency |= !coating.surface.is_opaque() || driven.is_some_and(Driven::opacity);
             let Some(interior) = coating.interior else { continue };
             let medium = interior.medium;
             if !medium.scatters() {
@@ -293,7 +310,7 @@ fn boundary_named(name: &str) -> Option<Boundary> {
 /// Coefficients from what the artist gave: colours go through the inversion for their boundary. Diffuse and
 /// index-matched boundaries reflect nothing back in (eta 1); OpenPBR defines the colour behind a dielectric
 /// for light at normal incidence.
-fn compile_interior(interior: &bsdf::Interior) -> Interior {
+pub(super) fn compile_interior(interior: &bsdf::Interior) -> Interior {
     let albedo = match interior.albedo {
         InteriorAlbedo::Single(albedo) => albedo,
         InteriorAlbedo::Color(color) => {

@@ -14,6 +14,10 @@ pub struct Needs {
     pub mesh_lights: u32,
     pub infinite_lights: u32,
     pub textures: u32,
+    /// Of the images of materials, all levels.
+    pub texture_bytes: u64,
+    /// Surfaces with inputs that are driven: compiled anew at every point.
+    pub driven_surfaces: u32,
     /// Media by boundary.
     pub diffuse_media: u32,
     pub dielectric_media: u32,
@@ -77,7 +81,16 @@ impl Needs {
                 self.infinite_lights > 0,
                 count(self.infinite_lights, "dome or distant lights"),
             ),
-            line("textures", self.textures > 0, count(self.textures, "images")),
+            line(
+                "textures",
+                self.textures > 0,
+                format!("{} images, {:.1} MB for materials", self.textures, self.texture_bytes as f64 / 1e6),
+            ),
+            line(
+                "driven surfaces",
+                self.driven_surfaces > 0,
+                count(self.driven_surfaces, "surfaces with inputs that images, primvars or nodes drive"),
+            ),
             line("depth of field", self.depth_of_field, "fStop and focusDistance of the camera above 0".into()),
             line("AOVs", !self.aovs.is_empty(), self.aovs.join(", ")),
         ]

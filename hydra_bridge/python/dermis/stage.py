@@ -11,6 +11,8 @@ from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade
 
 from .camera import auto_camera, camera_fields, find_camera
 from .emit import Emitter
+from .graph import primvars_read
+from .images import load_image
 from .material import flatten_material
 from .reading import Reader, Report, usd_words
 from .settings import binding_purpose, find_settings, flatten_settings, included_purposes
@@ -30,8 +32,9 @@ __all__ = [
 ]
 
 Prim = dict[str, Any]
-"""`type` (Mesh, Instancer, Material, Light, Camera, Texture) and the fields of `flat::Prim` in serde's
-names; arrays are C-contiguous numpy arrays: float32 (n,) or (n, k), int32 (n,), float64 (n, 4, 4)."""
+"""`type` (Mesh, Instancer, Material, Light, Camera, Texture, Image) and the fields of `flat::Prim` in serde's
+names; arrays are C-contiguous numpy arrays: float32 (n,) or (n, k), int32 (n,), float64 (n, 4, 4), uint8 (n,),
+uint16 (n,). An Image is a file and a colour space until `encode` decodes it."""
 
 
 class StageError(Exception):
@@ -102,6 +105,7 @@ def flatten(
     options = options or Options()
     time = first_time(stage) if time is None else Usd.TimeCode(time)
     reader = Reader(time, Report())
+    reader.primvars = tuple(sorted(primvars_read(stage) | {"st"}))
     warn_composition(stage, reader.report)
     settings = find_settings(stage, options.render_settings, reader)
     purposes = included_purposes(settings, reader) if options.purposes is None else options.purposes
@@ -123,12 +127,15 @@ def flatten_prim(
     empty."""
     options = options or Options()
     reader = Reader(first_time(prim.GetStage()) if time is None else Usd.TimeCode(time), Report())
+    reader.primvars = tuple(sorted(primvars_read(prim.GetStage()) | {"st"}))
     settings = find_settings(prim.GetStage(), options.render_settings, reader)
     purposes = included_purposes(settings, reader) if options.purposes is None else options.purposes
     purpose = binding_purpose(settings, reader)
     flat = FlatStage(purposes=tuple(sorted({"default", *purposes})))
     if prim.IsA(UsdShade.Material):
-        flat.prims[str(prim.GetPath())] = flatten_material(prim, reader)
+        images: dict[str, Prim] = {}
+        material = flatten_material(prim, reader, images)
+        flat.prims = {str(prim.GetPath()): material, **images}
     else:
         placements = Walk(prim.GetStage(), reader, flat.purposes, purpose).run(prim)
         flat.prims = Emitter(reader, purpose, options.enable_dome_light_visibility).emit(placements)
@@ -183,11 +190,14 @@ def warn_composition(stage: Usd.Stage, report: Report) -> None:
 
 
 def encode(prim: Prim) -> tuple[str, list[np.ndarray]]:
-    """JSON of a prim in which {"array": i} stands for the i-th of the arrays returned beside it.
+    """JSON of a prim in which {"array": i} stands for the i-th of the arrays returned beside it. Images of materials
+    are decoded here, so that their texels are in memory once, in the core.
 
     Raises ValueError where a number that is not finite would reach the JSON.
     """
     arrays: list[np.ndarray] = []
+    if prim["type"] == "Image" and "texels" not in prim:
+        prim = load_image(prim)
 
     def default(value: Any) -> Any:
         if isinstance(value, np.ndarray):
