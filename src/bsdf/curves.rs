@@ -66,7 +66,7 @@ impl Curves<'_> {
 }
 
 /// Nodes over sqrt(alpha), the authored roughness, from that of a mirror to 1.
-const ROUGHNESSES: usize = 25;
+const ROUGHNESSES: usize = 49;
 
 /// Nodes over (eta - 1) / (eta + 1), the square root of the reflectance at normal incidence, from -1 to 1; an even
 /// number of steps, so that eta 1 is one of them.

@@ -292,11 +292,13 @@ def test_opacity_maps_cast_shadows_with_holes(tmp_path):
     ground = ground.replace("point3f[] points", 'double3 xformOp:translate = (0, 0, -1)\n'
                             '    uniform token[] xformOpOrder = ["xformOp:translate"]\n    point3f[] points')
     # One quad as wide as two, seen from beside it: look at the floor only.
-    wide = quads(1, primvar("st", "texCoord2f", UNIT, "faceVarying")).replace("(1,", "(2,")
+    wide = quads(1, primvar("st", "texCoord2f", UNIT, "faceVarying"))
+    wide = wide.replace("(1, 0, 0), (1, 1, 0)", "(2, 0, 0), (2, 1, 0)")
     eye = camera(2).replace("(1.0, 0.5, 5)", "(1.0, 0.5, -0.5)")
     text = screen + floor + ground + wide + sun((0, 0, 1)) + eye
     image = dermis.render(stage_of(text), camera="/Eye", samples=4, resolution=[16, 8]).color[4, :, 0]
-    assert image[2] > 0.05 and image[2] == pytest.approx(image[5], rel=1e-4)
+    # The screen sends a little back down, the more the nearer.
+    assert image[2] > 0.05 and image[2] == pytest.approx(image[5], rel=0.03)
     assert image[10] == 0.0 and image[13] == 0.0
 
 
