@@ -28,11 +28,11 @@ class Graph:
         """The attribute at the far end of an input's connections: its own, another input's, or a node's output."""
         for attribute in UsdShade.Utils.GetValueProducingAttributes(shader_input):
             return attribute
-        if shader_input.GetAttr().HasAuthoredConnections():
+        node, stage = shader_input.GetPrim(), shader_input.GetPrim().GetStage()
+        # An interface input without a value is as good as none; what is not there is a mistake.
+        if any(not stage.GetPropertyAtPath(path) for path in shader_input.GetAttr().GetConnections()):
             name = shader_input.GetFullName()
-            self.reader.warn(
-                shader_input.GetPrim(), f"{name}: its connection leads to no value; the default is used"
-            )
+            self.reader.warn(node, f"{name}: its connection leads to no value; the default is used")
         return None
 
     @staticmethod

@@ -32,7 +32,7 @@ def flatten_material(prim: Usd.Prim, reader: Reader, images: dict[str, Fields]) 
         elif name == shader.normal:
             set_normal(graph, shader_input, shader)
         elif name not in shader.idle:
-            warn_ignored(shader_input, shader, reader)
+            warn_ignored(graph, shader_input, shader)
     if graph.inputs:
         fields["network"] = graph.flattened()
     if UsdShade.Material(prim).GetDisplacementOutput().HasConnectedSource():
@@ -78,18 +78,18 @@ def source_node(output: UsdShade.Output) -> Usd.Prim | None:
     return None
 
 
-def warn_ignored(shader_input: UsdShade.Input, shader: Shader, reader: Reader) -> None:
-    node, name = shader_input.GetPrim(), shader_input.GetBaseName()
+def warn_ignored(graph: Graph, shader_input: UsdShade.Input, shader: Shader) -> None:
+    node, name, reader = shader_input.GetPrim(), shader_input.GetBaseName(), graph.reader
     if name not in shader.ignored:
         reader.warn(node, f"inputs:{name}: not an input of {shader.name}; ignored")
         return
-    default = shader.ignored[name]
-    value = None
-    if default is not ANY and not shader_input.HasConnectedSource():
-        value = reader.coerced(node, f"inputs:{name}", shader_input.Get(reader.time), default)
-    if shader_input.HasConnectedSource() or (default is ANY and shader_input.Get() is not None):
+    default, source = shader.ignored[name], graph.source(shader_input)
+    if source is None:
+        return
+    value = None if graph.is_output(source) else source.Get(reader.time)
+    if graph.is_output(source) or (default is ANY and value is not None):
         reader.warn(node, f"inputs:{name}: not supported yet; ignored")
-    elif value is not None and value != default:
+    elif value is not None and (value := reader.coerced(node, f"inputs:{name}", value, default)) != default:
         reader.warn(
             node, f"inputs:{name}: not supported yet; {value} is ignored, the default {default} rendered"
         )

@@ -66,6 +66,10 @@ class Network:
             with np.errstate(all="ignore"):
                 lanes = OPERATIONS[op](*(np.array(arg.lanes, np.float64) for arg in args))
             return Value(width, tuple(float(x) for x in lanes))
+        neutral = NEUTRAL.get(op)
+        if neutral is not None and args[1].lanes is not None and args[0].width == width:
+            if all(x == neutral for x in args[1].lanes[:width]):
+                return args[0]
         return self.node(width, {"node": "math", "op": op, "args": [self.index(arg) for arg in args]})
 
     def gather(self, *picks: tuple[Value, int]) -> Value:
@@ -139,6 +143,8 @@ class Network:
 
     def rotate(self, st: Value, degrees: Value) -> Value:
         """Counterclockwise."""
+        if degrees.lanes is not None and degrees.lanes[0] == 0.0:
+            return st
         angle = self.multiply(degrees, constant(np.pi / 180.0))
         cos, sin = self.math("cos", angle), self.math("sin", angle)
         s, t = self.lane(st, 0), self.lane(st, 1)
@@ -198,3 +204,6 @@ OPERATIONS: dict[str, Callable[..., np.ndarray]] = {
     "hsvtorgb": hsv_to_rgb,
 }
 """`flat::Op` on constants."""
+
+NEUTRAL = {"add": 0.0, "subtract": 0.0, "multiply": 1.0, "divide": 1.0}
+"""The second argument that changes nothing."""

@@ -118,12 +118,8 @@ def uv_texture(node: Node) -> Value:
     if not image["tiles"]:
         return channels(node, fallback)
     texel = network.node(4, image)
-    scale, bias = node.get("scale", constant((1.0,) * 4)), node.get("bias", constant((0.0,) * 4))
-    if scale.lanes != (1.0,) * 4:
-        texel = network.multiply(texel, scale)
-    if bias.lanes != (0.0,) * 4:
-        texel = network.add(texel, bias)
-    return channels(node, texel)
+    texel = network.multiply(texel, node.get("scale", constant((1.0,) * 4)))
+    return channels(node, network.add(texel, node.get("bias", constant((0.0,) * 4))))
 
 
 def channels(node: Node, rgba: Value) -> Value:

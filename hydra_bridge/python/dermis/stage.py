@@ -1,7 +1,9 @@
 """A composed stage at one time as flat prims: the dicts that `dermis._core` takes, with numpy arrays in
 them."""
 
+import importlib.util
 import json
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -76,6 +78,7 @@ def open_stage(path: str | Path, session_layer: str | Path | None = None, mask: 
 
     Raises StageError ("Could not open layer: ...") where a layer is missing or damaged.
     """
+    find_materialx()
     root = open_layer(path)
     session = open_layer(session_layer) if session_layer else Sdf.Layer.CreateAnonymous(".usda")
     try:
@@ -91,7 +94,7 @@ def open_layer(path: str | Path) -> Sdf.Layer:
     try:
         layer = Sdf.Layer.FindOrOpen(str(path))
     except Tf.ErrorException as error:
-        raise StageError(f"Could not open layer: {path} ({usd_words(error)})") from error
+        raise StageError(f"Could not open layer: {path} ({with_remedy(usd_words(error))})") from error
     if layer is None:
         raise StageError(f"Could not open layer: {path}")
     return layer
@@ -186,7 +189,26 @@ def warn_composition(stage: Usd.Stage, report: Report) -> None:
     for error in stage.GetCompositionErrors():
         site = str(getattr(error, "rootSite", "")).rstrip(">")
         path = site.rsplit("<", 1)[-1] if "<" in site else "/"
-        report.warn(path, f"composition: {error}")
+        report.warn(path, f"composition: {with_remedy(str(error))}")
+
+
+def with_remedy(message: str) -> str:
+    """USD's words about a layer it has no reader for, and what to do where that is a MaterialX file."""
+    if ".mtlx" not in message or "file format" not in message:
+        return message
+    return (
+        f"{message.rstrip('.')}: usd-core has no reader for MaterialX files; pip uninstall usd-core, then pip install "
+        "usd-exchange MaterialX"
+    )
+
+
+def find_materialx() -> None:
+    """Tells USD's reader of MaterialX files, where there is one, where the standard library is: without it materials
+    come without shaders, and without a word."""
+    package = importlib.util.find_spec("MaterialX")
+    if package and package.submodule_search_locations:
+        libraries = Path(package.submodule_search_locations[0]) / "libraries"
+        os.environ.setdefault("PXR_MTLX_STDLIB_SEARCH_PATHS", str(libraries))
 
 
 def encode(prim: Prim) -> tuple[str, list[np.ndarray]]:
