@@ -14,7 +14,9 @@ PIXELS = 3
 
 def shader(name: str, identifier: str, *lines: str) -> str:
     body = "\n".join(f"        {line}" for line in lines)
-    return f'    def Shader "{name}"\n    {{\n        uniform token info:id = "{identifier}"\n{body}\n    }}\n'
+    return (
+        f'    def Shader "{name}"\n    {{\n        uniform token info:id = "{identifier}"\n{body}\n    }}\n'
+    )
 
 
 def reader(name: str = "R", varname: str = "st", kind: str = "float2", fallback: str = "") -> str:
@@ -86,4 +88,4 @@ def render(text: str, count: int, **settings: object) -> dermis.Image:
 
 
 def middles(image: dermis.Image, count: int) -> NDArray[np.float32]:
-    return image.color[1, 1 :: PIXELS, :3][:count]
+    return image.color[1, 1::PIXELS, :3][:count]

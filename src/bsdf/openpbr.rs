@@ -19,7 +19,12 @@ use super::translucent::{self, Shell, Transmission, translucent};
 use crate::flat::OpenPbrSurface;
 use crate::math::Rgb;
 
-pub fn compile(m: &OpenPbrSurface, boundary_override: Option<Boundary>, curves: &mut Curves, check: &mut Check) -> Surface {
+pub fn compile(
+    m: &OpenPbrSurface,
+    boundary_override: Option<Boundary>,
+    curves: &mut Curves,
+    check: &mut Check,
+) -> Surface {
     let coat_weight = check.unit("coat_weight", m.coat_weight, 0.0);
     let coat_color = check.color("coat_color", m.coat_color, 1.0);
     let coat_roughness = check.unit("coat_roughness", m.coat_roughness, 0.0);
@@ -95,7 +100,8 @@ fn medium(m: &OpenPbrSurface, shell: Shell, check: &mut Check) -> (Option<Medium
     let stand_in = ((1.0 - transmission) * subsurface, color);
     if transmission > 0.0 {
         if stand_in.0 > 0.0 {
-            check.warn(|| "transmission_weight and subsurface_weight: subsurface is shaded as diffuse beside it".into());
+            check
+                .warn(|| "transmission_weight and subsurface_weight: subsurface is shaded as diffuse beside it".into());
         }
         let inputs = Transmission {
             color: m.transmission_color,

@@ -11,9 +11,9 @@
 //! (`useSpecularWorkflow` 0), so that one medium looks alike in all shaders.
 
 use super::Bsdf;
-use super::curves::Curves;
 use super::albedo::{Curve, cosine_mean};
 use super::check::Check;
+use super::curves::Curves;
 use super::diffuse::Diffuse;
 use super::fresnel::{Fresnel, f0, schlick_weight};
 use super::ggx::Masking;
@@ -102,8 +102,9 @@ pub fn compile(
     let clearcoat = check.unit("clearcoat", m.clearcoat, 0.0);
     let coat_roughness = check.unit("clearcoatRoughness", m.clearcoat_roughness, 0.01).max(MIN_ROUGHNESS);
     let coat_fresnel = Fresnel::Schlick { f0: Rgb::splat(f0(inputs.ior)), f90: Rgb::ONE };
-    let coat =
-        Coat::new(clearcoat, Rgb::ONE, || Specular::new(coat_roughness * coat_roughness, coat_fresnel, Masking::Storm, curves));
+    let coat = Coat::new(clearcoat, Rgb::ONE, || {
+        Specular::new(coat_roughness * coat_roughness, coat_fresnel, Masking::Storm, curves)
+    });
     let emission = check.radiance("emissiveColor", m.emissive_color, Rgb::ZERO);
     let mut surface = Surface {
         emission,

@@ -20,7 +20,12 @@ use super::translucent::{self, Shell, Transmission, translucent};
 use crate::flat::StandardSurface;
 use crate::math::{Rgb, luminance};
 
-pub fn compile(m: &StandardSurface, boundary_override: Option<Boundary>, curves: &mut Curves, check: &mut Check) -> Surface {
+pub fn compile(
+    m: &StandardSurface,
+    boundary_override: Option<Boundary>,
+    curves: &mut Curves,
+    check: &mut Check,
+) -> Surface {
     let coat_weight = check.unit("coat", m.coat, 0.0);
     let coat_color = check.color("coat_color", m.coat_color, 1.0);
     let coat_roughness = check.unit("coat_roughness", m.coat_roughness, 0.1);

@@ -17,8 +17,8 @@ pub use camera::{Camera, Projection};
 pub use light::{Light, LightShape, Shaping};
 pub use material::{Material, OpenPbrSurface, PreviewSurface, StandardSurface};
 pub use mesh::{
-    AnyPrimvar, GeomSubset, IDENTITY, Image, Instancer, Interpolation, Matrix4d, Mesh, Orientation, Prims, Primvar, Texels,
-    Texture,
+    AnyPrimvar, GeomSubset, IDENTITY, Image, Instancer, Interpolation, Matrix4d, Mesh, Orientation, Prims, Primvar,
+    Texels, Texture,
 };
 pub use network::{ImageNode, Network, Node, Op, Tile, Wrap};
 pub use settings::{AOVS, GUIDE_AOVS, MAX_NORMALS, RenderSettings, WALKS};

@@ -65,7 +65,15 @@ pub(crate) fn scene() -> FlatScene {
     scene
         .textures
         .insert("/sky.exr".into(), Texture { file: "sky.exr".into(), width: 3, height: 2, pixels: pixels.into() });
-    let pores = Image { file: "pores.png".into(), width: 2, height: 1, channels: 3, srgb: true, texels: Texels::U8(vec![7; 6].into()), ..Image::default() };
+    let pores = Image {
+        file: "pores.png".into(),
+        width: 2,
+        height: 1,
+        channels: 3,
+        srgb: true,
+        texels: Texels::U8(vec![7; 6].into()),
+        ..Image::default()
+    };
     scene.images.insert("@pores.png@".into(), pores);
     scene.images.insert(
         "@depth.exr@".into(),

@@ -196,7 +196,8 @@ impl Builder<'_> {
             let display_opacity = geometry.display_opacity;
             let boundary_override = boundary_named(&self.flat.settings.subsurface_boundary);
             let of_mesh = OfMesh { display_color, display_opacity, boundary_override };
-            let (driven, surface) = match Driven::compile(material, geometry, of_mesh, self.images, prim, self.warnings) {
+            let (driven, surface) = match Driven::compile(material, geometry, of_mesh, self.images, prim, self.warnings)
+            {
                 Some((driven, typical)) => (Some(Box::new(driven)), typical),
                 None => {
                     let surface = Surface::compile(

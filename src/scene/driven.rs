@@ -1,8 +1,8 @@
 //! Materials with inputs that are driven: their surface is compiled anew at every point, from the numbers there.
 
+use super::geometry::Values;
 use super::image::ImageCache;
 use super::network::{Lookup, Program};
-use super::geometry::Values;
 use super::{Coating, Geometry, Instance};
 use crate::bsdf::{NotedCurves, OfMesh, Surface};
 use crate::error::Warning;

@@ -137,7 +137,8 @@ impl Geometry {
     }
 
     pub fn memory(&self) -> usize {
-        self.points.len() * 12 + self.triangles.len() * 12
+        self.points.len() * 12
+            + self.triangles.len() * 12
             + self.blas.memory()
             + self.primvars.values().map(Values::memory).sum::<usize>()
     }

@@ -325,7 +325,10 @@ mod tests {
         assert_eq!(at(0.5, 0.5), 1.5);
         let closest = Sampling { closest: true, ..how(Wrap::Clamp) };
         let nearest = |s, t| image.at(Vec2::new(s, t), POINT, &closest).x;
-        assert_eq!([nearest(0.49, 0.51), nearest(0.51, 0.49), nearest(0.0, 0.0), nearest(1.0, 1.0)], [0.0, 3.0, 2.0, 1.0]);
+        assert_eq!(
+            [nearest(0.49, 0.51), nearest(0.51, 0.49), nearest(0.0, 0.0), nearest(1.0, 1.0)],
+            [0.0, 3.0, 2.0, 1.0]
+        );
     }
 
     #[test]
@@ -384,7 +387,10 @@ mod tests {
         assert!(fit_images(&mut images, &mut cache, 6).is_empty());
         let warnings = fit_images(&mut images, &mut cache, 1);
         assert_eq!(warnings.len(), 1);
-        assert!(warnings[0].message.starts_with("a.png: kept with 250 x 250 of its 1000 x 1000 texels"), "{warnings:?}");
+        assert!(
+            warnings[0].message.starts_with("a.png: kept with 250 x 250 of its 1000 x 1000 texels"),
+            "{warnings:?}"
+        );
         assert!(!cache.contains_key("big") && cache.contains_key("small"));
         build_images(&images, &mut cache);
         let total: usize = cache.values().map(|image| image.memory()).sum();

@@ -237,7 +237,10 @@ mod tests {
     fn operations() {
         let v = Vec4::splat;
         assert_eq!(math(Op::Modulo, [v(-0.25), v(1.0), v(0.0), v(0.0)]), v(0.75));
-        assert_eq!(math(Op::Sign, [Vec4::new(-2.0, 0.0, 3.0, -0.0), v(0.0), v(0.0), v(0.0)]).to_array()[..3], [-1.0, 0.0, 1.0]);
+        assert_eq!(
+            math(Op::Sign, [Vec4::new(-2.0, 0.0, 3.0, -0.0), v(0.0), v(0.0), v(0.0)]).to_array()[..3],
+            [-1.0, 0.0, 1.0]
+        );
         let chosen = math(Op::IfGreater, [Vec4::new(1.0, 2.0, 3.0, 4.0), v(2.0), v(5.0), v(7.0)]);
         assert_eq!(chosen, Vec4::new(7.0, 7.0, 5.0, 5.0));
     }

@@ -12,7 +12,7 @@ from looked_up import camera, primvar, quads, reader, shader, stage_of
 dermis = pytest.importorskip("dermis")
 oiio = pytest.importorskip("OpenImageIO")
 
-ST = 'float2 inputs:st.connect = </Look/R.outputs:result>'
+ST = "float2 inputs:st.connect = </Look/R.outputs:result>"
 
 
 def write(path: Path, texels: np.ndarray) -> Path:
@@ -35,7 +35,9 @@ def texture(name: str, file: Path, *lines: str, output: str = "rgb") -> str:
 def look(inputs: str, nodes: str = "", identifier: str = "UsdPreviewSurface") -> str:
     output = "outputs:surface" if identifier == "UsdPreviewSurface" else "outputs:mtlx:surface"
     surface = shader("S", identifier, *inputs.split(";"), "token outputs:out")
-    return f'def Material "Look"\n{{\n    token {output}.connect = </Look/S.outputs:out>\n{surface}{nodes}}}\n'
+    return (
+        f'def Material "Look"\n{{\n    token {output}.connect = </Look/S.outputs:out>\n{surface}{nodes}}}\n'
+    )
 
 
 SKY = 'def DomeLight "Sky"\n{\n    float inputs:intensity = 1\n}\n'
@@ -115,10 +117,20 @@ CASES = {
     },
 }
 BESIDE = {
-    "UsdPreviewSurface": ";float inputs:subsurface = 0.5;color3f inputs:subsurfaceRadius = (0.3, 0.2, 0.1)",
-    "ND_open_pbr_surface_surfaceshader": ";float inputs:subsurface_weight = 0.5;float inputs:subsurface_radius = 0.25",
-    "ND_standard_surface_surfaceshader": ";float inputs:subsurface = 0.5;color3f inputs:subsurface_radius = (0.3, 0.2, 0.1)",
+    "UsdPreviewSurface": ("subsurface", "color3f inputs:subsurfaceRadius = (0.3, 0.2, 0.1)"),
+    "ND_open_pbr_surface_surfaceshader": ("subsurface_weight", "float inputs:subsurface_radius = 0.25"),
+    "ND_standard_surface_surfaceshader": ("subsurface", "color3f inputs:subsurface_radius = (0.3, 0.2, 0.1)"),
 }
+"""What makes a medium of each: its weight, and a radius."""
+
+
+def beside(identifier: str, name: str) -> str:
+    """Inputs that a driven `name` needs to matter."""
+    if "ubsurface" not in name and name not in ("ior", "roughness"):
+        return ""
+    weight, radius = BESIDE[identifier]
+    inputs = [f"float inputs:{weight} = 0.5", radius]
+    return "".join(";" + text for text in inputs if f"inputs:{name} " not in text)
 
 
 def ball(bands: int = 12) -> str:
@@ -128,7 +140,11 @@ def ball(bands: int = 12) -> str:
     for i in range(1, bands):
         for j in range(ring):
             theta, phi = np.pi * i / bands, 2 * np.pi * j / ring
-            p = 0.45 * np.array([np.sin(theta) * np.cos(phi), np.cos(theta), np.sin(theta) * np.sin(phi)]) + [0.5, 0.5, 0]
+            p = 0.45 * np.array([np.sin(theta) * np.cos(phi), np.cos(theta), np.sin(theta) * np.sin(phi)]) + [
+                0.5,
+                0.5,
+                0,
+            ]
             points.append(tuple(p.tolist()))
             st.append((round(j / ring, 6), round(1 - i / bands, 6)))
     points += [(0.5, 0.95, 0.0), (0.5, 0.05, 0.0)]
@@ -163,12 +179,10 @@ def test_constant_images_equal_constants(tmp_path, identifier):
         texels = np.full((4, 4, 3), value)
         file = write(tmp_path / f"{name}.exr", texels)
         kind, output = ("color3f", "rgb") if is_color else ("float", "g")
-        beside = "" if f"inputs:{name} " in BESIDE[identifier] else BESIDE[identifier]
-        if "ubsurface" not in name:
-            beside = beside if name in ("ior", "roughness") else ""
-        constant = look(f"{kind} inputs:{name} = {value}{beside}", identifier=identifier)
+        others = beside(identifier, name)
+        constant = look(f"{kind} inputs:{name} = {value}{others}", identifier=identifier)
         nodes = reader() + texture("T", file, output=output)
-        driven = look(f"{kind} inputs:{name}.connect = </Look/T.outputs:{output}>{beside}", nodes, identifier)
+        driven = look(f"{kind} inputs:{name}.connect = </Look/T.outputs:{output}>{others}", nodes, identifier)
         images = [body(text) for text in (constant, driven)]
         assert images[1].stats["needs"]["driven_surfaces"] == 1
         # Anisotropic media that are driven have classical walks: the same expectation, not the same image.
@@ -181,7 +195,9 @@ def test_driven_roughness_is_close_to_each_constant(tmp_path):
     """Its albedo curves come from a grid: the sum of specular and diffuse light in a furnace moves by little."""
     values = [0.05, 0.2, 0.45, 0.8, 1.0]
     file = write(tmp_path / "r.exr", np.array(values)[None, :, None].repeat(3, 2))
-    inputs = "color3f inputs:diffuseColor = (0.5, 0.5, 0.5);float inputs:metallic = 0.2;float inputs:roughness"
+    inputs = (
+        "color3f inputs:diffuseColor = (0.5, 0.5, 0.5);float inputs:metallic = 0.2;float inputs:roughness"
+    )
     driven = look(f"{inputs}.connect = </Look/T.outputs:r>", reader() + texture("T", file, output="r"))
     for i, value in enumerate(values):
         st = [((i + 0.5) / len(values), 0.5)] * 4
@@ -236,13 +252,22 @@ def test_tangent_frames(tmp_path, frame):
 
 def test_left_handed_meshes_and_back_faces_bend_alike(tmp_path):
     file = write(tmp_path / "n.exr", np.full((4, 4, 3), (TILTED + 1) / 2))
-    text = normals(file) + sun((0.5, 0.3, 1)) + quads(1, primvar("st", "texCoord2f", UNIT, "faceVarying")) + camera(1)
-    turned = text.replace("int[] faceVertexIndices = [0, 1, 2, 3]", "int[] faceVertexIndices = [0, 3, 2, 1]").replace(
-        str(UNIT), str([UNIT[i] for i in (0, 3, 2, 1)])
+    text = (
+        normals(file)
+        + sun((0.5, 0.3, 1))
+        + quads(1, primvar("st", "texCoord2f", UNIT, "faceVarying"))
+        + camera(1)
     )
-    left = turned.replace("int[] faceVertexCounts", '    uniform token orientation = "leftHanded"\n    int[] faceVertexCounts')
+    turned = text.replace(
+        "int[] faceVertexIndices = [0, 1, 2, 3]", "int[] faceVertexIndices = [0, 3, 2, 1]"
+    ).replace(str(UNIT), str([UNIT[i] for i in (0, 3, 2, 1)]))
+    left = turned.replace(
+        "int[] faceVertexCounts", '    uniform token orientation = "leftHanded"\n    int[] faceVertexCounts'
+    )
     settings = {"camera": "/Eye", "samples": 4, "resolution": [8, 8]}
-    front, hinder, handed = (float(dermis.render(stage_of(t), **settings).color[4, 4, 0]) for t in (text, turned, left))
+    front, hinder, handed = (
+        float(dermis.render(stage_of(t), **settings).color[4, 4, 0]) for t in (text, turned, left)
+    )
     assert handed == pytest.approx(front, rel=1e-5)
     # Seen from behind, z of the map points away: the normal is turned to the eye with all that is bent.
     flipped = TILTED * [-1, -1, 1]
@@ -250,25 +275,26 @@ def test_left_handed_meshes_and_back_faces_bend_alike(tmp_path):
     assert hinder / plain == pytest.approx(flipped @ LIGHT / LIGHT[2], rel=1e-5)
 
 
-@pytest.mark.parametrize("identifier", ["ND_open_pbr_surface_surfaceshader", "ND_standard_surface_surfaceshader"])
+@pytest.mark.parametrize(
+    "identifier", ["ND_open_pbr_surface_surfaceshader", "ND_standard_surface_surfaceshader"]
+)
 def test_materialx_normalmap(tmp_path, identifier):
     file = write(tmp_path / "n.exr", np.full((4, 4, 3), (TILTED + 1) / 2))
     name, off = ("geometry_normal", "specular_weight") if "open" in identifier else ("normal", "specular")
-    nodes = (
-        shader("T", "ND_image_vector3", f"asset inputs:file = @{file}@", "vector3f outputs:out")
-        + shader(
-            "N",
-            "ND_normalmap",
-            "vector3f inputs:in.connect = </Look/T.outputs:out>",
-            "float inputs:scale = 0.5",
-            "vector3f outputs:out",
-        )
+    nodes = shader("T", "ND_image_vector3", f"asset inputs:file = @{file}@", "vector3f outputs:out") + shader(
+        "N",
+        "ND_normalmap",
+        "vector3f inputs:in.connect = </Look/T.outputs:out>",
+        "float inputs:scale = 0.5",
+        "vector3f outputs:out",
     )
     matte = f"float inputs:{off} = 0"
     bent = shading(look(f"{matte};vector3f inputs:{name}.connect = </Look/N.outputs:out>", nodes, identifier))
     half = TILTED * [0.5, 0.5, 1]
     half /= np.linalg.norm(half)
-    assert bent / shading(look(matte, identifier=identifier)) == pytest.approx(half @ LIGHT / LIGHT[2], rel=1e-4)
+    assert bent / shading(look(matte, identifier=identifier)) == pytest.approx(
+        half @ LIGHT / LIGHT[2], rel=1e-4
+    )
 
 
 def test_normal_without_coordinates_is_said():
@@ -285,12 +311,16 @@ def test_opacity_maps_cast_shadows_with_holes(tmp_path):
     file = write(tmp_path / "o.exr", np.array([[[0.0] * 3, [1.0] * 3]]).repeat(2, 0))
     nodes = reader() + texture("T", file, output="r")
     screen = look(
-        MATTE + "float inputs:opacityThreshold = 0.5;float inputs:opacity.connect = </Look/T.outputs:r>", nodes
+        MATTE + "float inputs:opacityThreshold = 0.5;float inputs:opacity.connect = </Look/T.outputs:r>",
+        nodes,
     )
     floor = look(MATTE).replace("Look", "Floor")
     ground = quads(2, "").replace("Row", "Ground").replace("</Look>", "</Floor>")
-    ground = ground.replace("point3f[] points", 'double3 xformOp:translate = (0, 0, -1)\n'
-                            '    uniform token[] xformOpOrder = ["xformOp:translate"]\n    point3f[] points')
+    ground = ground.replace(
+        "point3f[] points",
+        "double3 xformOp:translate = (0, 0, -1)\n"
+        '    uniform token[] xformOpOrder = ["xformOp:translate"]\n    point3f[] points',
+    )
     # One quad as wide as two, seen from beside it: look at the floor only.
     wide = quads(1, primvar("st", "texCoord2f", UNIT, "faceVarying"))
     wide = wide.replace("(1, 0, 0), (1, 1, 0)", "(2, 0, 0), (2, 1, 0)")
@@ -329,9 +359,15 @@ LAMP = (
 @pytest.mark.parametrize("boundary", ["diffuse", "dielectric", "indexMatched"])
 def test_guided_walks_in_driven_media_have_the_mean_of_classical_ones(tmp_path, boundary):
     """4 x 4 blocks of the picture by their variances: 16 blocks x 3 channels."""
-    text = spotted(
-        tmp_path, f';token inputs:subsurfaceBoundary = "{boundary}"', subsurfaceColor=COLORS, subsurfaceRadius=RADII
-    ) + LAMP
+    text = (
+        spotted(
+            tmp_path,
+            f';token inputs:subsurfaceBoundary = "{boundary}"',
+            subsurfaceColor=COLORS,
+            subsurfaceRadius=RADII,
+        )
+        + LAMP
+    )
     samples = 160 if boundary == "dielectric" else 64
     pictures = {
         walk: body(text, walk=walk, samples=samples, seed=seed, resolution=[24, 24])
@@ -358,7 +394,9 @@ def test_color_of_the_entry_is_the_color_seen(tmp_path):
     beside = ";float inputs:subsurfaceScale = 0.002"
     picture = body(spotted(tmp_path, beside, subsurfaceColor=COLORS), samples=64, resolution=[32, 32]).color
     for i, color in enumerate(COLORS[0, ::16]):
-        one = body(spotted(tmp_path, beside, subsurfaceColor=patches(tuple(color))), samples=64, resolution=[32, 32]).color
+        one = body(
+            spotted(tmp_path, beside, subsurfaceColor=patches(tuple(color))), samples=64, resolution=[32, 32]
+        ).color
         # Columns that sector i covers in the middle of the picture: x = cos(2 pi s), z > 0 is seen.
         for s in (0.125, 0.375):
             if int(s * 4) == i:
@@ -369,10 +407,14 @@ def test_color_of_the_entry_is_the_color_seen(tmp_path):
 
 def test_driven_media_with_a_phase_function_are_walked_classically_and_said(tmp_path):
     dense = ";float inputs:subsurfaceScale = 0.1"
-    text = spotted(tmp_path, dense + ";float inputs:subsurfaceAnisotropy = 0.5", subsurfaceColor=COLORS) + LAMP
+    text = (
+        spotted(tmp_path, dense + ";float inputs:subsurfaceAnisotropy = 0.5", subsurfaceColor=COLORS) + LAMP
+    )
     (medium,) = body(text, samples=1).stats["guide"]["media"]
     assert medium["walk"] == "classical" and "phase function" in medium["why"]
-    (medium,) = body(spotted(tmp_path, dense, subsurfaceColor=COLORS) + LAMP, samples=1).stats["guide"]["media"]
+    (medium,) = body(spotted(tmp_path, dense, subsurfaceColor=COLORS) + LAMP, samples=1).stats["guide"][
+        "media"
+    ]
     assert medium["walk"] == "mixture" and "medium of its entry" in medium["why"]
 
 

@@ -39,7 +39,9 @@ def write(path: Path, texels: np.ndarray, bits: str = "u8", **attributes: object
 def rounded(texels: np.ndarray, bits: str) -> np.ndarray:
     """What the file holds."""
     _, dtype, scale = FORMATS[bits]
-    return np.rint(texels * scale) / scale if bits in ("u8", "u16") else texels.astype(dtype).astype(np.float64)
+    return (
+        np.rint(texels * scale) / scale if bits in ("u8", "u16") else texels.astype(dtype).astype(np.float64)
+    )
 
 
 def srgb(v: np.ndarray) -> np.ndarray:
@@ -64,7 +66,9 @@ def centres(width: int, height: int) -> list[tuple[float, float]]:
 
 
 def glow_of(file: Path, *lines: str, output: str = "rgb", st: list | None = None) -> np.ndarray:
-    return looked_up(glowing(texture(file, *lines, output=output), f"T.outputs:{output}"), st or centres(3, 2))
+    return looked_up(
+        glowing(texture(file, *lines, output=output), f"T.outputs:{output}"), st or centres(3, 2)
+    )
 
 
 RAW = 'token inputs:sourceColorSpace = "raw"'
@@ -73,7 +77,15 @@ SRGB = 'token inputs:sourceColorSpace = "sRGB"'
 
 @pytest.mark.parametrize(
     ("extension", "bits"),
-    [("png", "u8"), ("png", "u16"), ("tif", "u8"), ("tif", "u16"), ("tif", "float"), ("exr", "half"), ("exr", "float")],
+    [
+        ("png", "u8"),
+        ("png", "u16"),
+        ("tif", "u8"),
+        ("tif", "u16"),
+        ("tif", "float"),
+        ("exr", "half"),
+        ("exr", "float"),
+    ],
 )
 def test_every_format_shows_its_texels(tmp_path, extension, bits):
     texels = RNG.random((2, 3, 3))
@@ -106,7 +118,9 @@ def test_outputs_by_number_of_channels(tmp_path, channels, space):
     alpha = values[:, -1] if channels % 2 == 0 else np.ones(6)
     for name, wanted in {"r": color[:, 0], "g": color[:, 1], "b": color[:, 2], "a": alpha}.items():
         got = glow_of(file, space, output=name)
-        np.testing.assert_allclose(got, np.repeat(wanted[:, None], 3, axis=1), rtol=2e-5, atol=1e-6, err_msg=name)
+        np.testing.assert_allclose(
+            got, np.repeat(wanted[:, None], 3, axis=1), rtol=2e-5, atol=1e-6, err_msg=name
+        )
 
 
 def test_auto_takes_one_channel_of_eight_bits_as_data(tmp_path):
@@ -118,7 +132,9 @@ def test_auto_takes_one_channel_of_eight_bits_as_data(tmp_path):
 def test_bilinear_between_texels(tmp_path):
     texels = RNG.random((2, 3, 3))
     file = write(tmp_path / "a.exr", texels, "float")
-    got = glow_of(file, 'token inputs:wrapS = "clamp"', 'token inputs:wrapT = "clamp"', st=[(0.4, 0.6), (0.5, 0.5)])
+    got = glow_of(
+        file, 'token inputs:wrapS = "clamp"', 'token inputs:wrapT = "clamp"', st=[(0.4, 0.6), (0.5, 0.5)]
+    )
     x, y = 0.4 * 3 - 0.5, (1 - 0.6) * 2 - 0.5
     top = texels[0, 0] + (texels[0, 1] - texels[0, 0]) * x
     bottom = texels[1, 0] + (texels[1, 1] - texels[1, 0]) * x
@@ -149,7 +165,9 @@ def test_wrap_modes(tmp_path, wrap, columns):
     np.testing.assert_allclose(got, wanted, rtol=1e-5, atol=1e-7)
     # Down the other axis: the same image on its side, whose rows run from the top.
     file = write(tmp_path / "b.exr", texels.transpose(1, 0, 2)[::-1], "float")
-    got = glow_of(file, f'token inputs:wrapT = "{wrap}"', 'token inputs:wrapS = "clamp"', st=[(t, s) for s, t in st])
+    got = glow_of(
+        file, f'token inputs:wrapT = "{wrap}"', 'token inputs:wrapS = "clamp"', st=[(t, s) for s, t in st]
+    )
     np.testing.assert_allclose(got, wanted, rtol=1e-5, atol=1e-7)
 
 
@@ -167,7 +185,9 @@ def test_scale_and_bias(tmp_path):
     words = ("float4 inputs:scale = (2, 3, 0.5, 4)", "float4 inputs:bias = (0.25, 0, 1, 0.5)")
     got = glow_of(file, RAW, *words)
     np.testing.assert_allclose(got, values[:, :3] * [2, 3, 0.5] + [0.25, 0, 1], rtol=1e-5)
-    np.testing.assert_allclose(glow_of(file, RAW, *words, output="a")[:, 0], values[:, 3] * 4 + 0.5, rtol=1e-5)
+    np.testing.assert_allclose(
+        glow_of(file, RAW, *words, output="a")[:, 0], values[:, 3] * 4 + 0.5, rtol=1e-5
+    )
 
 
 def test_udim_tiles(tmp_path):
@@ -209,7 +229,9 @@ def test_unreadable_files_give_one_message_and_the_fallback(tmp_path):
 def test_truncated_file_is_said(tmp_path):
     file = write(tmp_path / "a.png", RNG.random((64, 64, 3)))
     file.write_bytes(file.read_bytes()[:2000])
-    image = render(glowing(texture(file), "T.outputs:rgb") + quads(1, primvar("st", "texCoord2f", [(0.5, 0.5)])), 1)
+    image = render(
+        glowing(texture(file), "T.outputs:rgb") + quads(1, primvar("st", "texCoord2f", [(0.5, 0.5)])), 1
+    )
     assert any("a.png" in w["message"] for w in image.stats["warnings"])
     np.testing.assert_allclose(middles(image, 1), [[0, 0, 0]])
 
@@ -238,7 +260,7 @@ def test_transform2d(tmp_path):
         ],
         axis=1,
     )
-    np.testing.assert_allclose(got[:, :2], turned + [0.25, 1], rtol=1e-5)
+    np.testing.assert_allclose(got[:, :2], turned + np.array([0.25, 1]), rtol=1e-5)
 
 
 KINDS = {
@@ -262,9 +284,13 @@ def test_primvar_readers(kind, interpolation):
     values = values[:1].repeat(2, 0) if interpolation == "constant" else values
     count = {"constant": 1, "uniform": 2}.get(interpolation, 8)
     spread = values[np.arange(count) * 2 // count] if count > 1 else values[:1]
-    plain = [tuple(v.tolist()) if width > 1 else (int(v[0]) if kind == "int" else float(v[0])) for v in spread]
+    plain = [
+        tuple(v.tolist()) if width > 1 else (int(v[0]) if kind == "int" else float(v[0])) for v in spread
+    ]
     output = {"normal": "normal3f", "point": "point3f", "vector": "vector3f"}.get(kind, kind)
-    text = shader("R", f"UsdPrimvarReader_{kind}", 'string inputs:varname = "mine"', f"{output} outputs:result")
+    text = shader(
+        "R", f"UsdPrimvarReader_{kind}", 'string inputs:varname = "mine"', f"{output} outputs:result"
+    )
     got = looked_up(
         glowing(text, "R.outputs:result"), [(0, 0), (0, 0)], primvar("mine", value_type, plain, interpolation)
     )
@@ -281,7 +307,10 @@ def test_interpolated_and_indexed_primvar():
     np.testing.assert_allclose(got[31, 31, :3], 0.25, atol=0.004)
     u, v = 40.5 / 63, 1 - 50.5 / 63
     np.testing.assert_allclose(got[50, 40, :3], 0.1 + 0.1 * (u - v) + 0.3 * v, atol=0.004)
-    indexed = values.replace("[0.1, 0.2, 0.4, 0.8]", "[7.0, 0.5]") + "\n    int[] primvars:mine:indices = [1, 1, 1, 1]"
+    indexed = (
+        values.replace("[0.1, 0.2, 0.4, 0.8]", "[7.0, 0.5]")
+        + "\n    int[] primvars:mine:indices = [1, 1, 1, 1]"
+    )
     assert (middles(render(text + quads(1, indexed), 1), 1) == 0.5).all()
 
 
@@ -299,9 +328,7 @@ def test_missing_primvar_gives_the_fallback():
     np.testing.assert_allclose(middles(image, 1), [[0.1, 0.2, 0.3]], rtol=1e-6)
     assert image.stats["warnings"] == []
     bare = glowing(reader(varname="none", kind="float3"), "R.outputs:result")
-    ((prim, message),) = [
-        (w["prim"], w["message"]) for w in render(bare + quads(1, ""), 1).stats["warnings"]
-    ]
+    ((prim, message),) = [(w["prim"], w["message"]) for w in render(bare + quads(1, ""), 1).stats["warnings"]]
     assert prim == "/Row" and "primvars:none" in message and "/Look" in message
 
 
@@ -360,7 +387,9 @@ def matx(*nodes: str) -> str:
 
 
 ST = shader("ST", "ND_texcoord_vector2", "int inputs:index = 0", "float2 outputs:out")
-S = shader("U", "ND_extract_vector2", "float2 inputs:in.connect = </Look/ST.outputs:out>", "float outputs:out")
+S = shader(
+    "U", "ND_extract_vector2", "float2 inputs:in.connect = </Look/ST.outputs:out>", "float outputs:out"
+)
 T = S.replace('"U"', '"V"').replace("float outputs", "int inputs:index = 1\n        float outputs")
 
 POINTS = [(0.1, 0.93), (0.5, 0.25), (0.8, 0.35)]
@@ -451,13 +480,26 @@ SHAPES = {
         [COLOR[0].format("bg"), OTHER[0].format("fg"), connect("float", "mix", "U")],
         mix(COLOR[1], OTHER[1], U[:, None]),
     ),
-    "clamp": ([connect("float", "in", "U"), "float inputs:low = 0.3", "float inputs:high = 0.6"], np.clip(U, 0.3, 0.6)),
+    "clamp": (
+        [connect("float", "in", "U"), "float inputs:low = 0.3", "float inputs:high = 0.6"],
+        np.clip(U, 0.3, 0.6),
+    ),
     "remap": (
-        [connect("float", "in", "U"), "float inputs:inlow = 0.1", "float inputs:outlow = 2", "float inputs:outhigh = 3"],
+        [
+            connect("float", "in", "U"),
+            "float inputs:inlow = 0.1",
+            "float inputs:outlow = 2",
+            "float inputs:outhigh = 3",
+        ],
         2 + (U - 0.1) / 0.9,
     ),
     "range": (
-        [connect("float", "in", "U"), "float inputs:gamma = 2", "float inputs:outhigh = 3", "bool inputs:doclamp = 1"],
+        [
+            connect("float", "in", "U"),
+            "float inputs:gamma = 2",
+            "float inputs:outhigh = 3",
+            "bool inputs:doclamp = 1",
+        ],
         np.clip(3 * U**0.5, 0, 3),
     ),
     "smoothstep": (
@@ -466,11 +508,21 @@ SHAPES = {
     ),
     "contrast": ([connect("float", "in", "U"), "float inputs:amount = 0.5"], (U - 0.5) * 0.5 + 0.5),
     "ifgreater": (
-        [connect("float", "value1", "U"), "float inputs:value2 = 0.5", "float inputs:in1 = 1", connect("float", "in2", "V")],
+        [
+            connect("float", "value1", "U"),
+            "float inputs:value2 = 0.5",
+            "float inputs:in1 = 1",
+            connect("float", "in2", "V"),
+        ],
         np.where(U > 0.5, 1, V),
     ),
     "ifgreatereq": (
-        [connect("float", "value1", "U"), "float inputs:value2 = 0.5", "float inputs:in1 = 1", connect("float", "in2", "V")],
+        [
+            connect("float", "value1", "U"),
+            "float inputs:value2 = 0.5",
+            "float inputs:in1 = 1",
+            connect("float", "in2", "V"),
+        ],
         np.where(U >= 0.5, 1, V),
     ),
     "ramplr": (
@@ -514,7 +566,9 @@ HELPERS = shader(
     "float inputs:in2 = 0.5",
     "float inputs:in3 = 0.75",
     "vector3f outputs:out",
-) + shader("W", "ND_multiply_float", connect("float", "in1", "U"), "float inputs:in2 = 1.5", "float outputs:out")
+) + shader(
+    "W", "ND_multiply_float", connect("float", "in1", "U"), "float inputs:in2 = 1.5", "float outputs:out"
+)
 
 
 @pytest.mark.parametrize("name", SHAPES)
@@ -524,7 +578,9 @@ def test_shaping_nodes(name):
     suffix = "color3" if wanted.ndim == 2 else "float"
     node = shader("N", f"ND_{name}_{suffix}", *lines, f"{kind} outputs:out")
     got = looked_up(glowing(matx(ST, S, T, HELPERS, node), "N.outputs:out"), POINTS)
-    np.testing.assert_allclose(got, wanted if wanted.ndim == 2 else wanted[:, None].repeat(3, 1), rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(
+        got, wanted if wanted.ndim == 2 else wanted[:, None].repeat(3, 1), rtol=1e-5, atol=1e-6
+    )
 
 
 def test_place2d_and_rotate2d():
@@ -554,7 +610,11 @@ def test_vectors():
         "vector3f outputs:out",
     ) + shader("D", "ND_normalize_vector3", connect("vector3f", "in", "N"), "vector3f outputs:out")
     shifted = shader(
-        "P", "ND_add_vector3FA", connect("vector3f", "in1", "D"), "float inputs:in2 = 2", "vector3f outputs:out"
+        "P",
+        "ND_add_vector3FA",
+        connect("vector3f", "in1", "D"),
+        "float inputs:in2 = 2",
+        "vector3f outputs:out",
     )
     got = looked_up(glowing(matx(ST, S, T, HELPERS, nodes, shifted), "P.outputs:out"), POINTS)
     cross = np.cross(np.stack([U, np.full(3, 0.5), np.full(3, 0.75)], 1), [0, 0, 1])
@@ -563,7 +623,12 @@ def test_vectors():
 
 def mtlx_image(file: Path, identifier: str, kind: str, *lines: str) -> str:
     return ST + shader(
-        "T", identifier, f"asset inputs:file = @{file}@", connect("float2", "texcoord", "ST"), *lines, f"{kind} outputs:out"
+        "T",
+        identifier,
+        f"asset inputs:file = @{file}@",
+        connect("float2", "texcoord", "ST"),
+        *lines,
+        f"{kind} outputs:out",
     )
 
 
@@ -577,10 +642,14 @@ def test_materialx_images(tmp_path):
     np.testing.assert_allclose(got, flat[:, :1].repeat(3, 1), rtol=1e-6)
     # Beyond the edge: its default.
     words = ('string inputs:uaddressmode = "constant"', "color3f inputs:default = (0.5, 0.25, 0.75)")
-    got = looked_up(glowing(mtlx_image(file, "ND_image_color3", "color3f", *words), "T.outputs:out"), [(-0.5, 0.25)])
+    got = looked_up(
+        glowing(mtlx_image(file, "ND_image_color3", "color3f", *words), "T.outputs:out"), [(-0.5, 0.25)]
+    )
     np.testing.assert_allclose(got, [[0.5, 0.25, 0.75]], rtol=1e-6)
     closest = 'string inputs:filtertype = "closest"'
-    got = looked_up(glowing(mtlx_image(file, "ND_image_color3", "color3f", closest), "T.outputs:out"), [(0.4, 0.6)])
+    got = looked_up(
+        glowing(mtlx_image(file, "ND_image_color3", "color3f", closest), "T.outputs:out"), [(0.4, 0.6)]
+    )
     np.testing.assert_allclose(got, texels[:1, 1], rtol=1e-6)
 
 
@@ -603,7 +672,9 @@ def test_materialx_tiled_image(tmp_path):
     words = ("float2 inputs:uvtiling = (2, 3)", "float2 inputs:uvoffset = (0.5, 0.25)")
     text = mtlx_image(file, "ND_tiledimage_color3", "color3f", *words)
     wanted = [((s + 0.5 + 4) / 2, (t + 0.25 + 6) / 3) for s, t in centres(3, 2)]
-    np.testing.assert_allclose(looked_up(glowing(text, "T.outputs:out"), wanted), texels.reshape(-1, 3), rtol=1e-4)
+    np.testing.assert_allclose(
+        looked_up(glowing(text, "T.outputs:out"), wanted), texels.reshape(-1, 3), rtol=1e-4
+    )
 
 
 def test_node_graphs_with_interfaces(tmp_path):
@@ -643,8 +714,14 @@ def test_geompropvalue():
 
 
 def test_constant_networks_leave_no_network(flat):
-    nodes = shader("C", "ND_constant_color3", "color3f inputs:value = (0.1, 0.2, 0.3)", "color3f outputs:out") + shader(
-        "N", "ND_multiply_color3FA", connect("color3f", "in1", "C"), "float inputs:in2 = 2", "color3f outputs:out"
+    nodes = shader(
+        "C", "ND_constant_color3", "color3f inputs:value = (0.1, 0.2, 0.3)", "color3f outputs:out"
+    ) + shader(
+        "N",
+        "ND_multiply_color3FA",
+        connect("color3f", "in1", "C"),
+        "float inputs:in2 = 2",
+        "color3f outputs:out",
     )
     material = flat(glowing(nodes, "N.outputs:out") + quads(1, "")).prims["/Look"]
     assert "network" not in material

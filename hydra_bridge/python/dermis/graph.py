@@ -72,7 +72,9 @@ class Graph:
     def words(node: "StageNode", error: Unsupported) -> str:
         """The innermost node is the one that is named."""
         text = str(error)
-        return text if text.startswith("node ") else f"node '{node.identifier}' at {node.prim.GetPath()}: {text}"
+        return (
+            text if text.startswith("node ") else f"node '{node.identifier}' at {node.prim.GetPath()}: {text}"
+        )
 
     def normal_map(self, shader_input: UsdShade.Input) -> Value | None:
         """What a `normalmap` behind the input gets, -1 to 1 in tangent space. Raises Unsupported."""

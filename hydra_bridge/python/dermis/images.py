@@ -29,7 +29,9 @@ WRAPS = {"black": "black", "clamp": "clamp", "periodic": "repeat", "mirror": "mi
 """OpenImageIO's words for `wrapmodes`, and USD's."""
 
 
-def find_images(attribute: Usd.Attribute, space: str, reader: Reader, images: dict[str, Fields]) -> list[Fields]:
+def find_images(
+    attribute: Usd.Attribute, space: str, reader: Reader, images: dict[str, Fields]
+) -> list[Fields]:
     """`tiles` of `flat::ImageNode` for an asset attribute, their images added to `images`; empty, with one warning,
     where nothing can be read."""
     asset = attribute.Get(reader.time)

@@ -110,7 +110,12 @@ def add_primvars(
 
 
 def flatten_read_primvars(
-    prim: Usd.Prim, kind: str, mesh: dict[str, Any], names: dict[str, str], reader: Reader, inherited: Inherited
+    prim: Usd.Prim,
+    kind: str,
+    mesh: dict[str, Any],
+    names: dict[str, str],
+    reader: Reader,
+    inherited: Inherited,
 ) -> dict[str, Any]:
     """`flat::Mesh::primvars` of those among `names` that the prim has; `names`: to what reads it, if a missing one is
     to be said."""
@@ -124,7 +129,9 @@ def flatten_read_primvars(
                 reader.warn(prim, f"primvars:{name}: there is none; {user} reads it and gets its fallback")
         elif kind != "Mesh" and primvar.GetInterpolation() != UsdGeom.Tokens.constant:
             reader.warn(prim, f"primvars:{name}: a {kind} takes only constant primvars; it is ignored")
-        elif (value := flatten_primvar(prim, primvar, components_of(primvar, reader), mesh, reader)) is not None:
+        elif (
+            value := flatten_primvar(prim, primvar, components_of(primvar, reader), mesh, reader)
+        ) is not None:
             components = 1 if value["values"].ndim == 1 else value["values"].shape[1]
             found[name] = {"type": "float" if components == 1 else f"float{components}", **value}
     return found

@@ -67,9 +67,9 @@ class Network:
                 lanes = OPERATIONS[op](*(np.array(arg.lanes, np.float64) for arg in args))
             return Value(width, tuple(float(x) for x in lanes))
         neutral = NEUTRAL.get(op)
-        if neutral is not None and args[1].lanes is not None and args[0].width == width:
-            if all(x == neutral for x in args[1].lanes[:width]):
-                return args[0]
+        second = args[1].lanes if neutral is not None and args[0].width == width else None
+        if second is not None and all(x == neutral for x in second[:width]):
+            return args[0]
         return self.node(width, {"node": "math", "op": op, "args": [self.index(arg) for arg in args]})
 
     def gather(self, *picks: tuple[Value, int]) -> Value:

@@ -20,9 +20,9 @@ mod tests;
 mod topology;
 
 pub use light::{validate_camera, validate_light, validate_texture};
-pub use network::validate_image;
 pub use material::validate_material;
 pub use mesh::{validate_instancer, validate_mesh};
+pub use network::validate_image;
 
 use super::{FlatScene, LightShape, Mesh, Prim, Prims};
 use crate::error::Warning;

@@ -2,8 +2,8 @@
 
 use super::*;
 use crate::flat::{
-    AnyPrimvar, Array, Camera, IDENTITY, Instancer, Interpolation, Light, Material, OpenPbrSurface, PreviewSurface, Primvar,
-    RenderSettings, Shaping, StandardSurface, Texture, array::Element, sample,
+    AnyPrimvar, Array, Camera, IDENTITY, Instancer, Interpolation, Light, Material, OpenPbrSurface, PreviewSurface,
+    Primvar, RenderSettings, Shaping, StandardSurface, Texture, array::Element, sample,
 };
 
 fn check_mesh(mesh: &mut Mesh) -> Vec<String> {
