@@ -332,6 +332,39 @@ def test_missing_primvar_gives_the_fallback():
     assert prim == "/Row" and "primvars:none" in message and "/Look" in message
 
 
+@pytest.mark.parametrize("kind", ["string", "matrix"])
+def test_readers_of_what_is_no_number_are_said(flat, kind):
+    value_type = {"string": "string", "matrix": "matrix4d"}[kind]
+    text = shader(
+        "R", f"UsdPrimvarReader_{kind}", 'string inputs:varname = "mine"', f"{value_type} outputs:result"
+    )
+    ((prim, message),) = flat(glowing(text, "R.outputs:result") + quads(1, "")).warnings
+    assert prim == "/Look/S" and f"UsdPrimvarReader_{kind}" in message and "the default is used" in message
+
+
+def test_display_opacity_counts_once():
+    """Read by name beside displayColor: a surface that is there by so much glows by so much."""
+    nodes = reader("C", "displayColor", "float3") + reader("O", "displayOpacity", "float")
+    text = (
+        'def Material "Look"\n{\n    token outputs:surface.connect = </Look/S.outputs:surface>\n'
+        + shader(
+            "S",
+            "UsdPreviewSurface",
+            'token inputs:opacityMode = "presence"',
+            "color3f inputs:emissiveColor = (1, 1, 1)",
+            "color3f inputs:diffuseColor.connect = </Look/C.outputs:result>",
+            "float inputs:opacity.connect = </Look/O.outputs:result>",
+            "token outputs:surface",
+        )
+        + nodes
+        + "}\n"
+    )
+    primvars = primvar("displayColor", "color3f", [(0.5, 0.25, 0.125)] * 2)
+    primvars += "\n" + primvar("displayOpacity", "float", [0.25, 1.0])
+    got = middles(render(text + quads(2, primvars), 2), 2)
+    np.testing.assert_allclose(got, [[0.25] * 3, [1.0] * 3], rtol=1e-6)
+
+
 # Levels.
 
 
@@ -741,6 +774,22 @@ def test_what_cannot_be_rendered_is_said_once_with_its_node(flat):
     circle = shader("N", "ND_add_float", connect("float", "in1", "N"), "float outputs:out")
     ((_, message),) = flat(glowing(circle, "N.outputs:out") + quads(1, "")).warnings
     assert "go round in a circle" in message
+
+
+def test_our_stage(usd_scenes):
+    from dermis.stage import flatten, open_stage
+
+    flat = flatten(open_stage(usd_scenes / "textures.usda"))
+    assert flat.warnings == []
+    driven = {path: list(prim["network"]["inputs"]) for path, prim in flat.prims.items() if "network" in prim}
+    assert driven == {
+        "/World/Looks/Preview": ["normal", "roughness", "subsurfaceColor"],
+        "/World/Looks/OpenPBR": ["subsurface_color", "subsurface_radius"],
+        "/World/Looks/Standard": ["metalness", "normal", "subsurface"],
+    }
+    image = dermis.render(str(usd_scenes / "textures.usda"), resolution=[48, 20], samples=2)
+    assert image.stats["warnings"] == [] and image.stats["non_finite_samples"] == 0
+    assert image.stats["walks_leaked"] == 0 and image.stats["walks"] > 0
 
 
 def test_same_image_for_any_number_of_threads(tmp_path):

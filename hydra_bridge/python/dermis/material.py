@@ -24,10 +24,13 @@ def flatten_material(prim: Usd.Prim, reader: Reader, images: dict[str, Fields]) 
     node, shader = surface
     fields = {"type": "Material", "shader": shader.name}
     graph = Graph(reader, images)
+    # displayColor as diffuseColor is what an unauthored diffuseColor means, but then displayOpacity counts by itself.
+    opacity = UsdShade.Shader(node).GetInput("opacity")
+    left = {"diffuseColor": "displayColor"} if not reads_primvar(opacity, "displayOpacity", reader) else {}
     for shader_input in UsdShade.Shader(node).GetInputs():
         name = shader_input.GetBaseName()
         if name in shader.inputs:
-            if name != "diffuseColor" or not reads_display_color(shader_input, reader):
+            if name not in left or not reads_primvar(shader_input, left[name], reader):
                 set_input(fields, graph, shader_input, shader.inputs[name])
         elif name == shader.normal:
             set_normal(graph, shader_input, shader)
@@ -144,11 +147,11 @@ def set_normal(graph: Graph, shader_input: UsdShade.Input, shader: Shader) -> No
     graph.inputs["normal"] = value
 
 
-def reads_display_color(shader_input: UsdShade.Input, reader: Reader) -> bool:
-    """displayColor as diffuseColor is what an unauthored diffuseColor means."""
-    for attribute in UsdShade.Utils.GetValueProducingAttributes(shader_input)[:1]:
+def reads_primvar(shader_input: UsdShade.Input, name: str, reader: Reader) -> bool:
+    """Whether a primvar of that name is all that drives the input."""
+    for attribute in UsdShade.Utils.GetValueProducingAttributes(shader_input)[:1] if shader_input else ():
         node = UsdShade.Shader(attribute.GetPrim())
         if node and shader_id(attribute.GetPrim()).startswith("UsdPrimvarReader"):
             variable = node.GetInput("varname")
-            return bool(variable) and str(variable.Get(reader.time)) == "displayColor"
+            return bool(variable) and str(variable.Get(reader.time)) == name
     return False

@@ -17,6 +17,7 @@ class Node(Protocol):
     """A node of the stage, one of its outputs asked for."""
 
     network: Network
+    identifier: str
     category: str
     output: str
     width: int
@@ -65,6 +66,8 @@ def evaluate(node: Node) -> Value:
 
 
 def primvar_reader(node: Node) -> Value:
+    if node.identifier.endswith(("_string", "_matrix")):
+        raise Unsupported("only numbers and vectors can drive an input")
     name = node.token("varname", "")
     if not name:
         raise Unsupported("its varname is empty")
