@@ -365,6 +365,50 @@ def test_display_opacity_counts_once():
     np.testing.assert_allclose(got, [[0.25] * 3, [1.0] * 3], rtol=1e-6)
 
 
+def test_subsets_and_instances_read_their_own(tmp_path):
+    """Two subsets with two images; an instance of a quad under another inherited primvar than its twin."""
+    files = [write(tmp_path / f"{i}.exr", np.full((2, 2, 3), v), "float") for i, v in enumerate((0.25, 0.75))]
+    looks = [
+        glowing(texture(file), "T.outputs:rgb").replace("Look", f"Look{i}") for i, file in enumerate(files)
+    ]
+    subset = (
+        '    def GeomSubset "P%d" (\n        prepend apiSchemas = ["MaterialBindingAPI"]\n    )\n    {\n'
+        '        uniform token elementType = "face"\n        uniform token familyName = "materialBind"\n'
+        "        int[] indices = [%d]\n        rel material:binding = </Look%d>\n    }\n"
+    )
+    row = quads(
+        2, primvar("st", "texCoord2f", [(0.5, 0.5)] * 2) + "\n" + "".join(subset % (i, i, i) for i in (0, 1))
+    )
+    got = middles(render("".join(looks) + row.replace("    rel material:binding = </Look>\n", "", 1), 2), 2)
+    np.testing.assert_allclose(got, [[0.25] * 3, [0.75] * 3])
+
+    tone = 'color3f primvars:tone = {} (\n        interpolation = "constant"\n    )\n'
+    one = 'class Xform "Proto"\n{\n' + quads(1, "") + "}\n"
+    twins = "".join(
+        f'def Xform "I{x}" (\n    instanceable = true\n    references = </Proto>\n)\n{{\n    {tone.format(color)}'
+        f"    double3 xformOp:translate = ({x}, 0, 0)\n"
+        '    uniform token[] xformOpOrder = ["xformOp:translate"]\n}\n'
+        for x, color in enumerate([(0.25, 0.5, 1.0), (1.0, 0.5, 0.25)])
+    )
+    text = glowing(reader(varname="tone", kind="float3"), "R.outputs:result") + one + twins
+    np.testing.assert_allclose(middles(render(text, 2), 2), [[0.25, 0.5, 1.0], [1.0, 0.5, 0.25]])
+
+
+def test_images_inside_a_package(tmp_path):
+    from pxr import UsdUtils
+
+    write(tmp_path / "a.png", np.full((4, 4, 3), (1.0, 0.0, 1.0)))
+    text = glowing(texture(Path("a.png")), "T.outputs:rgb")
+    body = text + quads(1, primvar("st", "texCoord2f", [(0.5, 0.5)])) + camera(1)
+    (tmp_path / "a.usda").write_text("#usda 1.0\n" + body)
+    package = tmp_path / "a.usdz"
+    assert UsdUtils.CreateNewUsdzPackage(str(tmp_path / "a.usda"), str(package))
+    (tmp_path / "a.png").unlink()
+    image = dermis.render(str(package), camera="/Eye", resolution=[3, 3], samples=1)
+    assert image.stats["warnings"] == []
+    np.testing.assert_allclose(image.color[1, 1, :3], [1, 0, 1])
+
+
 # Levels.
 
 
