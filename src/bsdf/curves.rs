@@ -124,20 +124,33 @@ fn eta_at(j: usize) -> f32 {
 mod tests {
     use super::*;
 
-    /// Against the quadrature between the nodes, the worst of roughness and index.
-    #[test]
-    fn the_grid_is_close_to_the_quadrature() {
+    /// Against the quadrature between the nodes, the worst of roughness, index and cosine.
+    fn worst(of: Of, eta: f32) -> f32 {
         let mut worst = 0.0_f32;
-        for (of, eta) in [(Of::Full, 1.0), (Of::Grazing, 1.0), (Of::Dielectric, 1.46), (Of::Dielectric, 2.03)] {
-            for roughness in [0.06, 0.1, 0.214, 0.37, 0.55, 0.77, 0.96_f32] {
-                let key = Key { of, masking: Masking::Smith, alpha: roughness * roughness, eta };
-                let (got, exact) = (interpolate(key), key.tabulate());
-                for mu in [0.02, 0.1, 0.3, 0.6, 1.0] {
-                    worst = worst.max((got.at(mu) - exact.at(mu)).abs());
-                }
+        for roughness in [0.06, 0.1, 0.214, 0.37, 0.55, 0.77, 0.96_f32] {
+            let key = Key { of, masking: Masking::Smith, alpha: roughness * roughness, eta };
+            let (got, exact) = (interpolate(key), key.tabulate());
+            for mu in [0.02, 0.1, 0.3, 0.6, 1.0] {
+                worst = worst.max((got.at(mu) - exact.at(mu)).abs());
             }
         }
-        assert!(worst < 4e-3, "{worst}");
+        worst
+    }
+
+    #[test]
+    fn the_grid_is_close_to_the_quadrature() {
+        for (of, eta) in [(Of::Full, 1.0), (Of::Grazing, 1.0), (Of::Dielectric, 1.46), (Of::Dielectric, 2.03)] {
+            let worst = worst(of, eta);
+            assert!(worst < 4e-3, "{of:?} {eta}: {worst}");
+        }
+    }
+
+    #[test]
+    fn interfaces_of_the_grid_are_close_to_the_quadrature() {
+        for eta in [1.46, 1.0 / 1.46] {
+            let worst = worst(Of::Interface, eta);
+            assert!(worst < 1e-2, "{eta}: {worst}");
+        }
     }
 
     #[test]
