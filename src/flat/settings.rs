@@ -73,6 +73,8 @@ pub struct RenderSettings {
     pub cache_resolution: u32,
     /// `auto`, or a boundary for every medium: `diffuse`, `dielectric`, `indexMatched`.
     pub subsurface_boundary: String,
+    /// Megabytes for the images of materials; the largest are kept coarser where they do not fit. 0: no bound.
+    pub texture_memory: u32,
     /// Camera rays see area lights.
     pub lights_visible_to_camera: bool,
     /// AOVs beside the beauty, each one of [`AOVS`] or [`GUIDE_AOVS`]; all of the former by default.
@@ -109,6 +111,7 @@ impl Default for RenderSettings {
             cache_fill: "surface".into(),
             cache_resolution: 0,
             subsurface_boundary: "auto".into(),
+            texture_memory: 4096,
             lights_visible_to_camera: false,
             aovs: AOVS.map(String::from).to_vec(),
         }

@@ -2,7 +2,9 @@
 
 use crate::bsdf::Boundary;
 use crate::flat::RenderSettings;
-use crate::scene::{Coating, Interior, Scene};
+use crate::scene::{Coating, Driven, Interior, Scene};
+use crate::medium::Medium;
+use crate::subsurface::technique::GuidedMedium;
 use serde::Serialize;
 
 /// A walk by what its slab normals come from.
@@ -40,6 +42,12 @@ impl Plan {
     pub fn needs_cache(&self) -> bool {
         matches!(self.walk, Walk::Bono | Walk::Bill | Walk::Mixture)
     }
+
+    /// The medium of a walk where it is not that of the surface, with the kernels that the walk needs.
+    pub fn medium_at(&self, medium: Medium) -> GuidedMedium {
+        // Isotropic kernels take less than a microsecond; driven media of other phase functions are not guided.
+        if self.walk == Walk::Classical { GuidedMedium::unguided(medium) } else { GuidedMedium::new(medium) }
+    }
 }
 
 /// Mean free paths across the object below which most light crosses it without a collision to guide.
@@ -56,7 +64,19 @@ pub fn plans(scene: &Scene, settings: &RenderSettings) -> Vec<Option<Plan>> {
         let walked = |interior: &Interior| interior.medium.scatters() || interior.boundary == Boundary::Diffuse;
         let Some(interior) = coating.interior.filter(walked) else { continue };
         let Some(owner) = scene.owner(index) else { continue };
-        let mut plan = plan(settings, &interior, owner.thickness(), scene.is_lit());
+        let driven = coating.driven.as_deref();
+        let varies = driven.is_some_and(Driven::medium);
+        let anisotropic = interior.medium.g != 0.0 || driven.is_some_and(Driven::anisotropy);
+        let mut plan = if varies && anisotropic {
+            let why = "its medium is driven and its phase function is not isotropic: kernels for each point would take \
+                       longer than its walks";
+            Plan { walk: Walk::Classical, exact: false, bends: false, why: why.into() }
+        } else {
+            plan(settings, &interior, owner.thickness(), scene.is_lit())
+        };
+        if varies && !anisotropic {
+            plan.why += "; driven: each walk has the medium of its entry";
+        }
         plan.bends = bends(scene, settings, coating, &plan);
         plans[index] = Some(plan);
     }

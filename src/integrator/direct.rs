@@ -10,7 +10,7 @@ use crate::light::{Choice, Emitter, LightSample, ShapeHit};
 use crate::math::Rgb;
 use crate::sampling::power_heuristic;
 use crate::sampling::sampler::Sampler;
-use crate::scene::{Origin, Scene, SurfaceHit};
+use crate::scene::{Coating, Origin, Scene, SurfaceHit};
 use glam::{Vec2, Vec3};
 
 /// Generator of the R2 sequence (Roberts 2018): inverse powers of the plastic number.
@@ -61,10 +61,10 @@ impl Path<'_> {
     }
 
     /// Emission of the surface material, and of the light that the mesh is.
-    pub(super) fn meet_surface_emission(&mut self, si: &Interaction) {
+    pub(super) fn meet_surface_emission(&mut self, si: &Interaction, coating: &Coating) {
         let scene = self.scene;
         if matches!(si.side, Side::Outside) {
-            self.add(scene.surfaces[si.surface as usize].surface.emission());
+            self.add(coating.surface.emission());
         }
         let Some((light, first)) = scene.instances[si.instance as usize].light else { return };
         if !si.front {
@@ -207,8 +207,9 @@ pub(super) fn transmittance_beyond(
         passed *= inside.transmittance(hit.map_or(left, |hit| hit.t));
         let Some(at) = hit else { return passed };
         let within = inside.contains(at.instance);
-        let si = scene.interaction(&at, d, if within { Side::Inside } else { Side::Outside });
-        let coating = &scene.surfaces[si.surface as usize];
+        let mut si = scene.interaction(&at, d, if within { Side::Inside } else { Side::Outside });
+        // The edge of a cut-out is that of its finest level.
+        let coating = scene.shade(&mut si, 0.0);
         match coating.interior.filter(|interior| interior.boundary == Boundary::IndexMatched) {
             Some(_) if within => inside = inside.left(at.instance),
             Some(interior) => {

@@ -4,7 +4,7 @@ use super::collision::{Bent, CollisionLight, Refracted};
 use super::nest::Inside;
 use super::watch::drawn;
 use super::{Bucket, Path, Previous};
-use crate::bsdf::{Boundary, Bsdf, Event, Side};
+use crate::bsdf::{Boundary, Bsdf, Event, Side, Surface};
 use crate::film::Sample;
 use crate::guiding::exit::Exit;
 use crate::guiding::look::shares_by_kind;
@@ -12,7 +12,7 @@ use crate::guiding::plan::{Plan, Walk};
 use crate::interaction::Interaction;
 use crate::math::Rgb;
 use crate::sampling::sampler::Sampler;
-use crate::scene::{BoundaryHit, InstanceEnclosure, SurfaceHit};
+use crate::scene::{BoundaryHit, Coating, InstanceEnclosure, SurfaceHit};
 use crate::subsurface::mixture::{Visitor, walk_mixture};
 use crate::subsurface::steps::{Enclosure, Start, WalkEnd};
 use crate::subsurface::technique::GuidedMedium;
@@ -39,17 +39,26 @@ struct Passage<'a> {
 
 impl<'a> Path<'a> {
     /// Enters the medium behind `si` along `wi` and follows it to the outside. The medium and the boundary
-    /// are those of the entry, wherever the walk comes out.
+    /// are those of `coating`, that of the entry, wherever the walk comes out; a bent normal is that of the exit.
     pub(super) fn enter_medium(
         &mut self,
         hit: &SurfaceHit,
         si: &Interaction,
+        coating: &Coating,
         wi: Vec3,
         sampler: &mut Sampler,
     ) -> Option<()> {
         let scene = self.scene;
-        let boundary = scene.surfaces[si.surface as usize].interior?.boundary;
+        let interior = coating.interior?;
+        let boundary = interior.boundary;
         let (plan, medium) = self.guide.plan(si.surface)?;
+        let here;
+        let medium = if medium.medium == interior.medium {
+            medium
+        } else {
+            here = plan.medium_at(interior.medium);
+            &here
+        };
         if self.depth == 0 {
             self.bucket = Bucket::Subsurface;
         }
@@ -66,7 +75,8 @@ impl<'a> Path<'a> {
         loop {
             let (at, d, scattered) = self.sub_walk(&passage, start, sampler)?;
             passage.first = false;
-            let exit = scene.interaction(&passage.enclosure.surface_hit(&at), d, Side::Inside);
+            let mut exit = scene.interaction(&passage.enclosure.surface_hit(&at), d, Side::Inside);
+            scene.bend(&mut exit, self.cone.width);
             match boundary {
                 Boundary::IndexMatched => {
                     self.continue_from(&exit, d);
@@ -75,7 +85,7 @@ impl<'a> Path<'a> {
                 Boundary::Diffuse => return self.leave_diffuse(&exit, passage.enclosure.point(&at), sampler),
                 Boundary::Dielectric => {
                     let p = passage.enclosure.point(&at);
-                    match self.meet_dielectric(si.surface, &exit, p, sampler)? {
+                    match self.meet_dielectric(&coating.surface, &exit, p, sampler)? {
                         Some(reflected) => {
                             self.cross()?;
                             start = Start { p, d: reflected, normal: exit.ng, hit: at, weight: Rgb::ONE };
@@ -110,7 +120,7 @@ impl<'a> Path<'a> {
     /// that direction.
     fn sub_walk(
         &mut self,
-        passage: &Passage<'a>,
+        passage: &Passage,
         mut start: Start<BoundaryHit>,
         sampler: &mut Sampler,
     ) -> Option<(BoundaryHit, Vec3, Scattered)> {
@@ -143,7 +153,7 @@ impl<'a> Path<'a> {
     /// The walk that the plan says.
     fn walk<const LIT: bool>(
         &mut self,
-        passage: &Passage<'a>,
+        passage: &Passage,
         start: Start<BoundaryHit>,
         scale: f32,
         light: Option<CollisionLight>,
@@ -181,7 +191,7 @@ impl<'a> Path<'a> {
     /// A walk along one slab normal, or classical, weighted by itself.
     fn conditional_walk(
         &mut self,
-        passage: &Passage<'a>,
+        passage: &Passage,
         start: Start<BoundaryHit>,
         light: Option<CollisionLight>,
         sampler: &mut Sampler,
@@ -262,12 +272,11 @@ impl<'a> Path<'a> {
     /// `Some(None)` out.
     fn meet_dielectric(
         &mut self,
-        surface: u32,
+        surface: &Surface,
         exit: &Interaction,
         p: Vec3,
         sampler: &mut Sampler,
     ) -> Option<Option<Vec3>> {
-        let surface = &self.scene.surfaces[surface as usize].surface;
         let bsdf = surface.bsdf(exit.local(exit.wo), Side::Inside);
         let lights = self.guide.exit_choice(exit.instance, p, exit.ng);
         self.next_event(exit, &bsdf, lights, None, sampler);

@@ -1,8 +1,9 @@
 //! A mesh made ready for rays: triangles about their centre, a BVH, and attributes at the corners.
 
 use super::accel::Blas;
-use crate::flat::{self, Interpolation, Orientation, Primvar, array::Element};
-use glam::{DVec3, Vec3};
+use crate::flat::{self, AnyPrimvar, Interpolation, Orientation, Primvar, array::Element};
+use glam::{DVec3, Vec2, Vec3, Vec4};
+use std::collections::BTreeMap;
 
 /// Values over a mesh, by the cheapest index that carries them.
 #[derive(Debug, Clone, PartialEq)]
@@ -49,6 +50,53 @@ impl<T: Copy + std::ops::Mul<f32, Output = T> + std::ops::Add<Output = T>> Attri
     }
 }
 
+/// A primvar that materials read, by its number of components.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Values {
+    One(Attribute<f32>),
+    Two(Attribute<Vec2>),
+    Three(Attribute<Vec3>),
+    Four(Attribute<Vec4>),
+}
+
+impl Values {
+    fn new(primvar: &AnyPrimvar, soup: &Triangulation) -> Self {
+        match primvar {
+            AnyPrimvar::Float(primvar) => Self::One(attribute(primvar, soup, |v| v)),
+            AnyPrimvar::Float2(primvar) => Self::Two(attribute(primvar, soup, Vec2::from)),
+            AnyPrimvar::Float3(primvar) => Self::Three(attribute(primvar, soup, Vec3::from)),
+            AnyPrimvar::Float4(primvar) => Self::Four(attribute(primvar, soup, Vec4::from)),
+        }
+    }
+
+    /// One number fills all lanes, a shorter vector has zeros behind it.
+    pub fn at(&self, triangle: usize, corners: [u32; 3], u: f32, v: f32) -> Vec4 {
+        match self {
+            Self::One(values) => Vec4::splat(values.at(triangle, corners, u, v)),
+            Self::Two(values) => values.at(triangle, corners, u, v).extend(0.0).extend(0.0),
+            Self::Three(values) => values.at(triangle, corners, u, v).extend(0.0),
+            Self::Four(values) => values.at(triangle, corners, u, v),
+        }
+    }
+
+    fn memory(&self) -> usize {
+        fn bytes<T>(values: &Attribute<T>) -> usize {
+            size_of::<T>()
+                * match values {
+                    Attribute::Constant(_) => 1,
+                    Attribute::Point(values) | Attribute::Triangle(values) => values.len(),
+                    Attribute::Corner(values) => 3 * values.len(),
+                }
+        }
+        match self {
+            Self::One(values) => bytes(values),
+            Self::Two(values) => bytes(values),
+            Self::Three(values) => bytes(values),
+            Self::Four(values) => bytes(values),
+        }
+    }
+}
+
 pub struct Geometry {
     /// Object space minus `centre`, so that f32 resolves a mesh far from its origin.
     pub points: Vec<Vec3>,
@@ -59,6 +107,8 @@ pub struct Geometry {
     pub normals: Option<Attribute<Vec3>>,
     pub display_color: Option<Attribute<Vec3>>,
     pub display_opacity: f32,
+    /// Those that materials read.
+    pub primvars: BTreeMap<String, Values>,
     /// Material slot per triangle: 0 the mesh's own, i the (i-1)th GeomSubset; `None`: all 0.
     pub slots: Option<Vec<u16>>,
 }
@@ -88,6 +138,7 @@ impl Geometry {
             normals,
             display_color: mesh.display_color.as_ref().map(|c| attribute(c, &soup, Vec3::from)),
             display_opacity: mesh.display_opacity.as_ref().and_then(|o| o.values.first().copied()).unwrap_or(1.0),
+            primvars: mesh.primvars.iter().map(|(name, primvar)| (name.clone(), Values::new(primvar, &soup))).collect(),
             slots: slots(mesh, &soup.faces),
             points,
             triangles: soup.triangles,
@@ -118,9 +169,10 @@ impl Geometry {
     /// Bytes, attributes and BVH included.
     pub fn memory(&self) -> usize {
         let attributes = [&self.normals, &self.display_color].into_iter().flatten().map(Attribute::memory);
+        let primvars = self.primvars.values().map(Values::memory).sum::<usize>();
         let slots = self.slots.as_ref().map_or(0, |slots| size_of_val(slots.as_slice()));
         let indexed = size_of_val(self.points.as_slice()) + size_of_val(self.triangles.as_slice());
-        indexed + self.blas.memory() + attributes.sum::<usize>() + slots
+        indexed + self.blas.memory() + attributes.sum::<usize>() + primvars + slots
     }
 
     /// Edges (between points welded by position) that do not join faces in pairs: what keeps the mesh from

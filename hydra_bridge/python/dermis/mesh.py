@@ -7,11 +7,11 @@ import numpy as np
 from pxr import Usd, UsdGeom
 
 from .implicit import IMPLICIT_TYPES, tessellate
-from .reading import Reader
+from .reading import Reader, numeric
 from .skel import Skins
 
-PRIMVARS = {"st": ("st", 2), "displayColor": ("displayColor", 3), "displayOpacity": ("displayOpacity", 1)}
-"""Primvar -> field of Mesh, components."""
+PRIMVARS = {"displayColor": ("displayColor", 3), "displayOpacity": ("displayOpacity", 1)}
+"""Primvar -> field of Mesh, components; others are read where a material asks for them."""
 
 MESH_TYPES = ("Mesh", *IMPLICIT_TYPES)
 
@@ -114,6 +114,49 @@ def add_primvars(
             mesh[field] = value
 
 
+def flatten_read_primvars(
+    prim: Usd.Prim,
+    kind: str,
+    mesh: dict[str, Any],
+    names: dict[str, str],
+    reader: Reader,
+    inherited: Inherited,
+) -> dict[str, Any]:
+    """`flat::Mesh::primvars` of those among `names` that the prim has; `names`: to what reads it, if a missing one is
+    to be said."""
+    api, found = UsdGeom.PrimvarsAPI(prim), {}
+    for name, user in names.items():
+        primvar = api.GetPrimvar(name)
+        if not (primvar and primvar.HasAuthoredValue()):
+            primvar = inherited.get(name)
+        if primvar is None:
+            if user:
+                reader.warn(prim, f"primvars:{name}: there is none; {user} reads it and gets its fallback")
+        elif kind != "Mesh" and primvar.GetInterpolation() != UsdGeom.Tokens.constant:
+            reader.warn(prim, f"primvars:{name}: a {kind} takes only constant primvars; it is ignored")
+        elif (
+            value := flatten_primvar(prim, primvar, components_of(primvar, reader), mesh, reader)
+        ) is not None:
+            components = 1 if value["values"].ndim == 1 else value["values"].shape[1]
+            found[name] = {"type": "float" if components == 1 else f"float{components}", **value}
+    return found
+
+
+def components_of(primvar: UsdGeom.Primvar, reader: Reader) -> int:
+    """1 where the value is no array of vectors, which reading it says."""
+    value = primvar.Get(reader.time)
+    array = numeric(value)
+    if array is None:
+        return 1
+    if array.ndim == 1 and not isinstance(value, (list, tuple)) and not is_array(primvar):
+        return min(len(array), 4)
+    return min(array.shape[1], 4) if array.ndim == 2 else 1
+
+
+def is_array(primvar: UsdGeom.Primvar) -> bool:
+    return bool(primvar.GetTypeName().isArray)
+
+
 def flatten_primvar(
     prim: Usd.Prim, primvar: UsdGeom.Primvar, components: int, mesh: dict[str, Any], reader: Reader
 ) -> dict[str, Any] | None:
@@ -122,7 +165,8 @@ def flatten_primvar(
     if primvar.GetElementSize() != 1:
         reader.warn(prim, f"{name}: elementSize {primvar.GetElementSize()} is not supported; it is ignored")
         return None
-    if components == 1 and np.ndim(value) == 0 and value is not None and not isinstance(value, str):
+    if value is not None and not is_array(primvar) and not isinstance(value, str):
+        # A constant may be one value instead of an array of one.
         value = [value]
     values = reader.as_array(prim, name, value, np.float32, components)
     indices = reader.as_array(prim, f"{name}:indices", indices_of(primvar, reader), np.int32, 1)

@@ -37,6 +37,7 @@ DERMIS_SETTINGS: dict[str, Any] = {
     "cacheFill": "surface",
     "cacheResolution": 0,
     "subsurfaceBoundary": "auto",
+    "textureMemory": 4096,
     "lightsVisibleToCamera": False,
 }
 """Custom attributes `dermis:NAME` of the settings prim, with the type each has."""
