@@ -37,10 +37,11 @@ impl ObjectSums {
         }
     }
 
-    /// (object, samples), most first; equal ones in the order of prims.
-    fn ranks(&self) -> Vec<(i32, u32)> {
-        let mut ranks: Vec<_> = self.prims.into_iter().zip(self.samples).filter(|(_, n)| *n > 0).collect();
-        ranks.sort_by_key(|&(prim, n)| (std::cmp::Reverse(n), prim));
+    /// (id, samples), most first; equal ones in the order of ids, as `dermis merge` ranks them.
+    fn ranks(&self, id: impl Fn(i32) -> f32) -> Vec<(f32, u32)> {
+        let seen = self.prims.into_iter().zip(self.samples).filter(|(_, n)| *n > 0);
+        let mut ranks: Vec<_> = seen.map(|(prim, n)| (id(prim), n)).collect();
+        ranks.sort_by_key(|&(id, n)| (std::cmp::Reverse(n), id.to_bits()));
         ranks
     }
 }
@@ -48,12 +49,12 @@ impl ObjectSums {
 impl Film {
     /// Layers of two ranks each: id, coverage, id, coverage.
     pub(super) fn object_planes(&self) -> Vec<Plane> {
+        let id = |prim: i32| self.object_ids.get(prim as usize).copied().unwrap_or(0.0);
         let layer = |(l, name): (usize, &&'static str)| {
             self.plane(name, 4, |tile, i| {
-                let ranks = tile.objects[i].ranks();
+                let ranks = tile.objects[i].ranks(id);
                 let share = |n: u32| n as f32 / tile.samples[i].max(1) as f32;
-                let id = |prim: i32| self.object_ids.get(prim as usize).copied().unwrap_or(0.0);
-                let rank = |k: usize| ranks.get(k).map_or([0.0; 2], |&(prim, n)| [id(prim), share(n)]);
+                let rank = |k: usize| ranks.get(k).map_or([0.0; 2], |&(id, n)| [id, share(n)]);
                 let [a, b] = [rank(2 * l), rank(2 * l + 1)];
                 [a[0], a[1], b[0], b[1]]
             })

@@ -144,6 +144,10 @@ def merge(parts: Sequence[Part], force: bool = False) -> Merged:
         )
     merged.attributes = attributes(parts, merger.counts)
     least, most = int(merger.counts.min()), int(merger.counts.max())
+    if least < most and not any(layer_of(name) == COUNT for name in merged.channels):
+        merged.channels[f"{COUNT}.count"] = merger.counts.astype(np.uint32)
+        layers = json.loads(merged.attributes.get("dermis:layers", "{}"))
+        merged.attributes["dermis:layers"] = json.dumps({**layers, COUNT: COUNT})
     merged.summary = f"{shape[1]} x {shape[0]} pixels, {least} to {most} samples each"
     return merged
 
@@ -284,7 +288,9 @@ class Merger:
         for part, window in zip(self.parts, self.windows, strict=True):
             for identity, coverage in pairs:
                 ids.append(spread(self.shape, window, part.channels[identity].view(np.uint32)))
-                weights.append(spread(self.shape, window, part.channels[coverage] * part.counts))
+                # Coverages are whole samples over their number.
+                samples = np.rint(part.channels[coverage] * part.counts)
+                weights.append(spread(self.shape, window, samples))
         if not ids:
             return {}
         order, weight = add_equal(np.stack(ids, -1), np.stack(weights, -1))

@@ -272,7 +272,7 @@ fn materials_name_their_own_inputs() {
         check(&mut preview),
         [
             "inputs:subsurfaceRadius is [1.0, -2.0, NaN], [1.0, 0.0, 1.0] is used; author a finite number, not below 0",
-            "inputs:subsurfaceAnisotropy is 1.0, 0.999 is used; author -0.999 to 0.999",
+            "inputs:subsurfaceAnisotropy is 1.0, 0.99 is used; author -0.99 to 0.99",
             "inputs:ior is 0.0, 1.5 is used; author a number above 0",
             "inputs:subsurfaceBoundary is \"glass\", \"diffuse\" is used; \
              author one of diffuse, dielectric, indexMatched",

@@ -194,7 +194,8 @@ class Stage:
         first = outputs[0] if outputs else None
         source = f"<{(first and first.product) or self.settings_path}>"
         if first and first.product:
-            authored = {**self._shared_settings(authored, when), **first.settings}
+            vars_of_first = {"aovs": authored["aovs"]} if "aovs" in self.typed and "aovs" in authored else {}
+            authored = {**self._shared_settings(authored, when), **first.settings, **vars_of_first}
         if any(prim == authored.get("camera") and said.startswith("camera:") for prim, said in flat.warnings):
             del authored["camera"]
         loaded.log += overrides(self.typed, authored, source)
