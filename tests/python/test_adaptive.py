@@ -48,10 +48,10 @@ def color_of(file) -> np.ndarray:
 
 
 def test_samples_go_where_the_noise_is(stage, tmp_path, capsys):
-    flags = ("-w", "32", "--aov", "sampleCount", "--stats", tmp_path / "s.json")
-    wanted = 0.08
+    flags = ("-w", "80", "--aov", "sampleCount", "--stats", tmp_path / "s.json")
+    wanted = 0.1
     assert (
-        run("record", stage, tmp_path / "a.exr", *flags, "--samples", "2048", "--noiseThreshold", wanted) == 0
+        run("record", stage, tmp_path / "a.exr", *flags, "--samples", "1024", "--noiseThreshold", wanted) == 0
     )
     found = json.loads((tmp_path / "s.json").read_text())
     decided, counts = found["adaptive"], channels(tmp_path / "a.exr")["sampleCount.count"]
@@ -62,7 +62,7 @@ def test_samples_go_where_the_noise_is(stage, tmp_path, capsys):
     # Empty corners get the least, the lit card many times that.
     assert counts[0, -1] == 16 and counts.max() > 4 * counts.min()
     assert decided["predictedError"] <= wanted * 1.001 and decided["tilesAtLimit"] == 0
-    assert run("record", stage, tmp_path / "r.exr", "-w", "32", "--samples", "1024", "--seed", "9") == 0
+    assert run("record", stage, tmp_path / "r.exr", "-w", "80", "--samples", "512", "--seed", "9") == 0
     # Sobol samples do better than the independent ones that the pilot takes them for; not worse.
     assert error_of(color_of(tmp_path / "a.exr"), color_of(tmp_path / "r.exr")) < 1.2 * wanted
 
@@ -91,8 +91,8 @@ def test_the_mean_over_seeds_is_that_of_plain_renders(stage):
         return np.array([image.color[..., :3].mean() for image in renders])
 
     aovs = ["sampleCount"]
-    adaptive = means(0, 128, samples=128, noiseThreshold=0.3, aovs=aovs)
-    plain = means(10_000, 32, samples=128, aovs=aovs)
+    adaptive = means(0, 64, samples=128, noiseThreshold=0.3, aovs=aovs)
+    plain = means(10_000, 16, samples=128, aovs=aovs)
     error = np.sqrt(adaptive.var(ddof=1) / len(adaptive) + plain.var(ddof=1) / len(plain))
-    assert error < 0.01 * plain.mean()  # else the test could not see anything
+    assert error < 0.02 * plain.mean()  # else the test could not see anything
     assert abs(adaptive.mean() - plain.mean()) < 4.0 * error

@@ -283,6 +283,34 @@ def test_settings_pass_and_namespaced_settings(stage, tmp_path, capsys):
     assert "Flag overrides samples of </Render/A>: 1 instead of 2" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("collection", "seen", "said"),
+    [
+        ("", True, ""),
+        ("rel collection:renderVisibility:excludes = </World/Red>", False, ""),
+        (
+            "uniform bool collection:renderVisibility:includeRoot = 0\n"
+            "rel collection:renderVisibility:includes = [</World/Card>, </World/Dome>]",
+            False,
+            "",
+        ),
+        ("rel collection:prune:includes = </World/Red>", False, ""),
+        (
+            "rel collection:cameraVisibility:excludes = </World/Red>",
+            True,
+            "collection:cameraVisibility: not supported",
+        ),
+    ],
+)
+def test_collections_of_a_pass(tmp_path, capsys, collection, seen, said):
+    red = CARD.replace("Card", "Red").replace("(1, 1, 1)]", "(1, 0, 0)]").replace(", 0)", ", 1)")
+    outside = settings() + f'def RenderPass "Pass"\n{{\nrel renderSource = </Render/S>\n{collection}\n}}\n'
+    (tmp_path / "stage.usda").write_text(stage_text(CARD, red, CAMERA, DOME, outside=outside))
+    assert run("record", tmp_path / "stage.usda", tmp_path / "a.exr", "-rp", "/Pass") == 0
+    assert (read_exr(tmp_path / "a.exr")[1][4, 8, 1] < 0.2) == seen
+    assert said in capsys.readouterr().err
+
+
 BOUND = """
 def Mesh "Card" (
     prepend apiSchemas = ["MaterialBindingAPI"]

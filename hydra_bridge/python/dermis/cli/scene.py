@@ -10,7 +10,7 @@ from typing import Any
 from pxr import Sdf, Usd, UsdGeom, UsdRender
 
 from dermis import camera as cameras
-from dermis import hydra, products, stage
+from dermis import hydra, passes, products, stage
 from dermis._core import CoreError, Delegate
 from dermis.image import AUTO_CAMERA
 from dermis.reading import Reader, Report
@@ -150,7 +150,9 @@ class Stage:
         loaded.views = [
             self._settle_view(flat, when, loaded, authored, group) for group in grouped(outputs or [])
         ]
-        flat.settings = {name: value for name, value in loaded.views[0].settings.items() if value is not None}
+        flat.settings = dict(loaded.views[0].settings)
+        if self.args.rpPrimPath:
+            passes.hide_excluded(self.stage.GetPrimAtPath(self.args.rpPrimPath), flat.prims)
         self._light(flat, flat.settings["camera"], loaded)
         self.synced = hydra.populate(delegate, flat, previous)
         loaded.camera = loaded.views[0].camera
@@ -260,8 +262,9 @@ class Stage:
 
     def _pass_settings(self, path: str) -> str:
         prim = self.stage.GetPrimAtPath(path) if Sdf.Path.IsValidPathString(path) else Usd.Prim()
-        if not prim or not prim.IsA(UsdRender.Pass):
+        if not passes.is_pass(prim):
             raise SceneError(f"Unknown render pass <{path}>")
+        self.warnings.extend(passes.pass_warnings(prim))
         targets = UsdRender.Pass(prim).GetRenderSourceRel().GetTargets()
         if not targets:
             raise SceneError(f"Render source not authored on {path}")
