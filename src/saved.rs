@@ -104,7 +104,7 @@ impl Write for Digest {
         let words = rest.chunks_exact(8);
         let tail = words.remainder();
         for word in words {
-            self.word(word.iter().fold(0, |word, &byte| word << 8 | u64::from(byte)));
+            self.word(u64::from_be_bytes(word.try_into().expect("chunks of eight")));
             self.length += 8;
         }
         tail.iter().for_each(|&byte| self.byte(byte));

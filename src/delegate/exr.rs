@@ -38,7 +38,8 @@ impl RenderDelegate {
         let mut header = self.header(attributes);
         let wanted: Vec<Layer> = match layers {
             // Alpha is the beauty's fourth channel already.
-            None => planes.iter().filter(|plane| plane.name != "alpha").map(|plane| layer(plane, None)).collect(),
+            // Each plane goes when its layer is there: together they are the most memory of a render.
+            None => planes.into_iter().filter(|plane| plane.name != "alpha").map(|plane| layer(&plane, None)).collect(),
             Some(layers) => layers.iter().flat_map(|spec| named(spec, &planes)).collect(),
         };
         self.say_who(&wanted, &mut header);

@@ -83,6 +83,13 @@ impl Run<'_> {
         self.keeper.as_ref().is_some_and(|keeper| locked(&keeper.last).elapsed() >= keeper.keep.every)
     }
 
+    /// A stop is a reason to come back, a time limit is not.
+    pub(super) fn keep_if_stopped(&self, film: &Film, schedule: &Schedule, at: &Passes) {
+        if self.progress.stopped() {
+            self.keep(film, schedule, at);
+        }
+    }
+
     /// Writes a checkpoint, if they are asked for; no tile may be under way. A failure costs the checkpoint, not the
     /// render.
     pub(super) fn keep(&self, film: &Film, schedule: &Schedule, at: &Passes) {

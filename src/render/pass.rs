@@ -95,7 +95,7 @@ impl Run<'_> {
             let count = (at.done + 1).min(LONGEST_PASS).min(most - at.done);
             self.pass(film, schedule, at, count);
             if locked(&at.merger).next < film.tiles.len() {
-                self.keep(film, schedule, at);
+                self.keep_if_stopped(film, schedule, at);
                 return false;
             }
             let seen = std::mem::take(&mut *locked(&at.merger)).merged;
@@ -104,7 +104,7 @@ impl Run<'_> {
                 self.learn(&seen);
             }
             if self.is_over() && at.done < most {
-                self.keep(film, schedule, at);
+                self.keep_if_stopped(film, schedule, at);
                 return false;
             }
         }

@@ -29,9 +29,11 @@ pub fn validate_mesh(path: &str, mesh: &mut Mesh, warnings: &mut Vec<Warning>) {
     let authored = mesh.face_vertex_counts.len();
     let points_reported = check_faces(mesh, &mut report);
     mend_points(mesh, points_reported, &mut report);
-    // Faces that were all dropped have been reported.
-    if mesh.visible && authored == 0 {
-        report.warn("faceVertexCounts: the mesh has no faces to render; delete or deactivate the prim");
+    if mesh.visible && mesh.face_vertex_counts.is_empty() {
+        // Faces that were all dropped have been reported.
+        if authored == 0 {
+            report.warn("faceVertexCounts: the mesh has no faces to render; delete or deactivate the prim");
+        }
         mesh.visible = false;
     }
 }

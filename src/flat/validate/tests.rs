@@ -109,9 +109,8 @@ fn points_that_are_nowhere_take_their_faces() {
         let mut mesh = sample::cube();
         edit(&mut mesh.points, |points| points[7][1] = bad);
         let warnings = check_mesh(&mut mesh);
-        assert_eq!(warnings.len(), 2);
+        assert_eq!(warnings.len(), 1, "one cause, one warning");
         assert!(warnings[0].starts_with("3 of 6 faces dropped: points not finite"), "{warnings:?}");
-        assert!(warnings[1].starts_with("1 of 8 points"), "{warnings:?}");
         assert_eq!(mesh.points[7], mesh.points[0], "bounds do not grow");
         assert_usable(&mesh);
     }
@@ -143,7 +142,7 @@ fn only_faces_without_any_area_go() {
         let mut mesh = triangle(points, indices.clone());
         let warnings = check_mesh(&mut mesh);
         assert_eq!(mesh.face_vertex_counts.len(), faces, "{points:?} {indices:?}");
-        assert_eq!(warnings.len(), if faces == 1 { 0 } else { 2 }, "{warnings:?}");
+        assert_eq!(warnings.len(), if faces == 1 { 0 } else { 1 }, "{warnings:?}");
     }
 }
 
@@ -233,7 +232,7 @@ fn lights_and_cameras() {
     };
     let warnings = messages(|warnings| validate_light("/light", &mut light, warnings));
     let attributes: Vec<_> = warnings.iter().map(|message| message.split(' ').next().unwrap()).collect();
-    let expected = ["intensity", "exposure", "color", "shaping:cone:angle", "width", "width"];
+    let expected = ["intensity", "exposure", "color", "shaping:cone:angle", "width"];
     assert_eq!(attributes, expected.map(|name| format!("inputs:{name}")), "{warnings:?}");
     assert_eq!((light.intensity, light.exposure, light.visible), (0.0, 0.0, false));
     assert_eq!(light.color, [0.5, 0.0, 1e30]);

@@ -235,7 +235,8 @@ def add_batch_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--resume",
         action="store_true",
-        help="go on from checkpoints that are there; the image is that of an uninterrupted render",
+        help="go on from checkpoints that are there, to the image of an uninterrupted render; writes them every 300 s "
+        "unless --checkpoint says otherwise",
     )
     group.add_argument(
         "--snapshot",
