@@ -144,7 +144,7 @@ mod tests {
     #[test]
     fn throwing_the_pilot_away_keeps_the_mean() {
         let (mut thrown, mut kept) = (Vec::new(), Vec::new());
-        for seed in 0..4000 {
+        for seed in 0..10_000 {
             let pilot = film(2);
             fill(&pilot, 0, 0.02, 2 * seed, 0..16);
             fill(&pilot, 1, 0.5, 2 * seed + 1_000_000, 0..16);
