@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+import struct
 import time
 from pathlib import Path
 
@@ -51,29 +52,34 @@ def wait_for(file: Path, child, seconds: float = 60.0) -> None:
     ids=["classical", "mixture", "bono", "adaptive"],
 )
 def test_killed_and_resumed_is_the_uninterrupted_image(wax, tmp_path, walk, noise):
-    """kill -9 some times in a row, at moments that have nothing to do with tiles or passes."""
+    """kill -9 three times in a row, whatever tile or pass is under way."""
     flags = ("-w", "40", "--samples", "80", "--walk", walk, "--threads", "2", *noise)
     aovs = [word for aov in ("depth", "variance", "subsurface", "cryptoObject") for word in ("--aov", aov)]
     assert run("record", wax, tmp_path / "whole.exr", *flags, *aovs) == 0
-    out, kills, said = tmp_path / "a.exr", 0, ""
-    keep = tmp_path / "a.exr.checkpoint"
-    for attempt in range(40):
-        child = start("record", wax, out, *flags, *aovs, "--checkpoint", "0.05", "--resume")
-        before = keep.stat().st_mtime_ns if keep.exists() else 0
-        # Each process must come further than the one before, but not to the end.
-        while child.poll() is None and (not keep.exists() or keep.stat().st_mtime_ns == before):
+    out, keep = tmp_path / "a.exr", tmp_path / "a.exr.checkpoint"
+    # (pilot, samples done): after something was learned, in the middle of a pass.
+    for least in [(True, 3), (False, 3), (False, 15)] if noise else [(False, 3), (False, 7), (False, 31)]:
+        child = start("record", wax, out, *flags, *aovs, "--checkpoint", "0.02", "--resume")
+        while child.poll() is None and not is_past(keep, *least):
             time.sleep(0.001)
-        time.sleep(0.013 * attempt)
-        if attempt < 3 and child.poll() is None:
-            child.kill()
-            kills += 1
-        said = child.communicate(timeout=300)[0]
-        if out.exists():
-            break
-    assert kills >= 2 and child.returncode == 0, said
-    assert f"Resuming from {keep}" in said
+        assert child.poll() is None, "it was too fast to be killed"
+        child.kill()
+        child.communicate()
+    child = start("record", wax, out, *flags, *aovs, "--resume", "--stats", tmp_path / "s.json")
+    said = child.communicate(timeout=300)[0]
+    assert child.returncode == 0 and f"Resuming from {keep}" in said
+    assert json.loads((tmp_path / "s.json").read_text())["resumed_samples_per_pixel"] >= least[1]
     same_image(tmp_path / "whole.exr", out)
-    assert names(tmp_path) == ["a.exr", "wax.usda", "whole.exr"]
+    assert names(tmp_path) == ["a.exr", "s.json", "wax.usda", "whole.exr"]
+
+
+def is_past(keep: Path, pilot: bool, samples: int) -> bool:
+    """Whether a checkpoint is of that phase or a later one, with that many samples done in it."""
+    if not keep.exists():
+        return False
+    phase, tiles = struct.unpack_from("<IQ", keep.read_bytes(), 20)
+    (done,) = struct.unpack_from("<I", keep.read_bytes(), 32 + 4 * tiles)
+    return done >= samples if pilot == (phase == 1) else phase == 0
 
 
 def test_interrupted_and_resumed(wax, tmp_path):
