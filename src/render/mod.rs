@@ -1,6 +1,7 @@
 //! Rendering: passes over the tiles of the film until samples, time or a stop say it is over.
 
 mod adaptive;
+mod bodies;
 mod checkpoint;
 mod pass;
 mod training;
@@ -69,6 +70,9 @@ pub struct GuideStats {
     pub seconds: f64,
     /// Boundary points with an irradiance estimate.
     pub records: u64,
+    /// Instances with a cache, and those too small on the picture for one.
+    pub bodies: usize,
+    pub bodies_too_small: usize,
     pub regions: usize,
     pub lit_regions: usize,
     pub bytes: usize,
@@ -198,13 +202,14 @@ impl<'a> Run<'a> {
     }
 
     fn train(&mut self, film: &Film) {
-        let (training, records) = training::train(self.scene, self.settings, &mut self.guide);
-        self.progress.add(&training);
+        let trained = training::train(self.scene, self.settings, &mut self.guide);
+        self.progress.add(&trained.stats);
         if film.watches_walks() {
             self.guide.number_regions();
         }
         self.learned.seconds = self.start.elapsed().as_secs_f64();
-        self.learned.records = records;
+        self.learned.records = trained.records;
+        [self.learned.bodies, self.learned.bodies_too_small] = trained.bodies;
         self.learned.count(&self.guide);
         self.progress.set_guide(self.learned.clone());
     }

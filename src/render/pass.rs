@@ -164,13 +164,15 @@ fn render_tile(
     let mut log = WalkLog::default();
     let path =
         PathSettings { max_depth: settings.max_depth, lights_visible_to_camera: settings.lights_visible_to_camera };
+    let lens = scene.camera.has_depth_of_field();
     for i in 0..(tile.width * tile.height) as usize {
         let (x, y) = (tile.x0 + (i as u32 % tile.width) as i32, tile.y0 + (i as u32 / tile.width) as i32);
         // A crop renders the pixels of the whole.
         let pixel = scene.camera.pixel_number(x, y);
         for sample in samples.clone() {
             let mut sampler = Sampler::new(seed, pixel, sample);
-            let (u_filter, u_lens) = (sampler.next_2d(), sampler.next_2d());
+            let u_filter = sampler.next_2d();
+            let u_lens = if lens { sampler.next_2d() } else { sampler.skip_2d() };
             let raster = Vec2::new(x as f32 + 0.5 + tent(u_filter.x), y as f32 + 0.5 + tent(u_filter.y));
             let ray = scene.camera.ray(raster, u_lens);
             let sample = trace(scene, guide, path, ray, &mut sampler, &mut stats, &mut log);

@@ -62,7 +62,8 @@ class Emitter:
             matrix = Gf.Matrix4d(*np.ravel(local_to_world(found, matrices)[0]))
             self.prims[found.key] = flatten_camera(found.prim, self.reader, matrix)
         elif found.kind not in MESH_TYPES:
-            light = flatten_light(found.prim, found.kind, self.reader, self.textures, self.domes_visible)
+            textures = self.textures if found.context.visible else None
+            light = flatten_light(found.prim, found.kind, self.reader, textures, self.domes_visible)
             self.lights(found, light, matrices, [""] * len(matrices))
         elif found.emits:
             self.mesh_lights(found, matrices)
