@@ -128,6 +128,11 @@ impl Interface {
         Self { eta, alpha, reflect_tint, transmit_tint, albedo_outside: albedo(eta), albedo_inside: albedo(1.0 / eta) }
     }
 
+    /// True when it refracts into single directions.
+    pub fn is_smooth(&self) -> bool {
+        is_smooth(self.alpha, self.eta)
+    }
+
     /// As seen from outside at the cosine `mu`.
     pub fn outside(&self, mu: f32) -> Dielectric {
         Dielectric {

@@ -130,6 +130,13 @@ impl Surface {
         }
     }
 
+    /// Index of the inside / index of the outside and tint of a boundary that refracts into single directions.
+    pub fn smooth_interface(&self) -> Option<(f32, Rgb)> {
+        let Base::Layered(layered) = &self.base else { return None };
+        let interface = layered.interface().filter(|interface| interface.is_smooth())?;
+        Some((interface.eta, interface.transmit_tint))
+    }
+
     fn outside(&self, wo: Vec3) -> Bsdf {
         let mut bsdf = Bsdf::new(wo);
         let mu = bsdf.mu();

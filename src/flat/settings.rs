@@ -67,6 +67,9 @@ pub struct RenderSettings {
     pub control_variates: bool,
     /// Lights sampled where a walk comes out: `one`, `all`, `learned` (one, by visible contribution), or `auto`.
     pub exit_lights: String,
+    /// Light sampled at collisions, through smooth dielectric boundaries: `on`, `off`, or `auto`: where a light is small and
+    /// the walk is not of exact weight.
+    pub refracted_light: String,
     /// Where walks of `mixture` come out of a diffuse boundary, half of them go on to where light was seen.
     pub guide_exits: bool,
     /// What fills the boundary cache: `surface` (uniform samples) or `camera` (walks of camera paths).
@@ -106,6 +109,7 @@ impl Default for RenderSettings {
             stratify_techniques: true,
             control_variates: true,
             exit_lights: "auto".into(),
+            refracted_light: "auto".into(),
             guide_exits: true,
             cache_fill: "surface".into(),
             cache_resolution: 0,

@@ -1,6 +1,6 @@
 //! Passing an object's inside: sub-walks from boundary to boundary until the light gets out.
 
-use super::direct::CollisionLight;
+use super::collision::{Bent, CollisionLight, Refracted};
 use super::nest::Inside;
 use super::watch::drawn;
 use super::{Bucket, Path, Previous};
@@ -19,11 +19,18 @@ use crate::subsurface::technique::GuidedMedium;
 use crate::subsurface::walk::{Along, Collision, walk};
 use glam::{Vec2, Vec3};
 
+/// The last collision of a walk and the solid-angle pdf with which it went on, as in [`WalkEnd::Boundary`].
+type Scattered = Option<(Vec3, f32)>;
+
 /// The medium that a path is in.
 struct Passage<'a> {
     enclosure: InstanceEnclosure<'a>,
     instance: u32,
+    /// Of the entry.
+    surface: u32,
     boundary: Boundary,
+    /// The boundary, where light is sampled through it.
+    bent: Option<Bent<'a>>,
     plan: &'a Plan,
     medium: &'a GuidedMedium,
     /// No boundary was met yet.
@@ -47,7 +54,9 @@ impl<'a> Path<'a> {
             self.bucket = Bucket::Subsurface;
         }
         let enclosure = InstanceEnclosure::new(scene, si.instance);
-        let mut passage = Passage { enclosure, instance: si.instance, boundary, plan, medium, first: self.depth == 0 };
+        let bent = if plan.bends { Bent::new(scene, si.instance, si.surface) } else { None };
+        let (instance, surface, first) = (si.instance, si.surface, self.depth == 0);
+        let mut passage = Passage { enclosure, instance, surface, boundary, bent, plan, medium, first };
         let entry = BoundaryHit::of(hit);
         let p = passage.enclosure.point(&entry);
         if boundary == Boundary::IndexMatched && scene.has_light_shapes() {
@@ -55,7 +64,7 @@ impl<'a> Path<'a> {
         }
         let mut start = Start { p, d: wi, normal: si.ng, hit: entry, weight: Rgb::ONE };
         loop {
-            let (at, d) = self.sub_walk(&passage, start, sampler)?;
+            let (at, d, scattered) = self.sub_walk(&passage, start, sampler)?;
             passage.first = false;
             let exit = scene.interaction(&passage.enclosure.surface_hit(&at), d, Side::Inside);
             match boundary {
@@ -71,7 +80,10 @@ impl<'a> Path<'a> {
                             self.cross()?;
                             start = Start { p, d: reflected, normal: exit.ng, hit: at, weight: Rgb::ONE };
                         }
-                        None => return Some(()),
+                        None => {
+                            self.remember(&passage, scattered, p);
+                            return Some(());
+                        }
                     }
                 }
             }
@@ -87,24 +99,35 @@ impl<'a> Path<'a> {
         self.meet_light_shapes_along(passage.enclosure.to_render(p), d, t_max, inside);
     }
 
-    /// One walk to the next boundary point: where, and in which direction it arrives.
+    /// What MIS needs where the segment out of a bent boundary at `p` (walk space) meets a light.
+    fn remember(&mut self, passage: &Passage, scattered: Scattered, p: Vec3) {
+        let (Some((x, pdf)), true) = (scattered, passage.bent.is_some()) else { return };
+        let (instance, surface) = (passage.instance, passage.surface);
+        self.previous = Previous::Refracted(Refracted { instance, surface, x, p, pdf });
+    }
+
+    /// One walk to the next boundary point: where, in which direction it arrives, and its last collision with the pdf of
+    /// that direction.
     fn sub_walk(
         &mut self,
         passage: &Passage<'a>,
         mut start: Start<BoundaryHit>,
         sampler: &mut Sampler,
-    ) -> Option<(BoundaryHit, Vec3)> {
+    ) -> Option<(BoundaryHit, Vec3, Scattered)> {
         let scale = self.throughput.max_element();
         (scale > 0.0).then_some(())?;
         start.weight = self.throughput / scale;
+        let (scene, instance, bucket, bent) = (self.scene, passage.instance, self.bucket, passage.bent);
+        let light = |around, bent| CollisionLight { scene, instance, around, scale, bucket, bent };
         let end = match passage.boundary {
             // Light reaches collisions straight only where the boundary does not bend it.
             Boundary::IndexMatched => {
                 let medium = Some(passage.medium.medium);
-                let inside = self.enter(Inside { instance: passage.instance, medium })?;
-                let (scene, instance) = (self.scene, passage.instance);
-                let light = CollisionLight { scene, instance, inside, scale, bucket: self.bucket };
+                let light = light(self.enter(Inside { instance, medium })?, None);
                 self.walk::<true>(passage, start, scale, Some(light), sampler)
+            }
+            Boundary::Dielectric if bent.is_some() => {
+                self.walk::<true>(passage, start, scale, Some(light(self.inside, bent)), sampler)
             }
             _ => self.walk::<false>(passage, start, scale, None, sampler),
         };
@@ -114,7 +137,7 @@ impl<'a> Path<'a> {
             let lights = crate::guiding::LightsAt::One;
             self.previous = Previous::Sampled { p: passage.enclosure.to_render(p), n: None, pdf, lights };
         }
-        Some((hit, d))
+        Some((hit, d, scattered))
     }
 
     /// The walk that the plan says.
@@ -205,9 +228,7 @@ impl<'a> Path<'a> {
         let (sample, shadow_rays) = (&mut self.sample, &mut self.stats.shadow_rays);
         let collide = |collision: &Collision, sampler: &mut Sampler| {
             if let Some(light) = &light {
-                let u = Vec2::new(sampler.random(), sampler.random());
-                let cast = light.add(collision, enclosure.to_render(collision.p), sampler.random(), u, sample);
-                *shadow_rays += u64::from(cast);
+                *shadow_rays += light.add(collision, enclosure, sampler, sample);
             }
         };
         let medium = &passage.medium.medium;
@@ -308,8 +329,6 @@ impl<const LIT: bool> Visitor for Collisions<'_, LIT> {
 
     fn collide(&mut self, collision: &Collision, sampler: &mut Sampler) {
         let Some(light) = &self.light else { return };
-        let u = Vec2::new(sampler.random(), sampler.random());
-        let p = self.passage.enclosure.to_render(collision.p);
-        self.shadow_rays += u64::from(light.add(collision, p, sampler.random(), u, self.sample));
+        self.shadow_rays += light.add(collision, &self.passage.enclosure, sampler, self.sample);
     }
 }

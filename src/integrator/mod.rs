@@ -1,8 +1,10 @@
 //! The path integrator: camera ray in, radiance out. One unidirectional path with next-event estimation
 //! and multiple importance sampling at surfaces, at exits of media, and at collisions where light gets in.
 
+mod collision;
 mod direct;
 mod log;
+mod manifold;
 mod medium;
 mod nest;
 mod probe;
@@ -21,6 +23,7 @@ use crate::sampling::sampler::Sampler;
 use crate::scene::{Origin, Scene, SurfaceHit};
 use crate::subsurface::steps::WalkStats;
 use bytemuck::{Pod, Zeroable};
+use collision::Refracted;
 use glam::Vec3;
 use nest::{Inside, Nest};
 
@@ -76,6 +79,8 @@ enum Previous {
         pdf: f32,
         lights: LightsAt,
     },
+    /// Out of a smooth dielectric, after a collision that sampled light too.
+    Refracted(Refracted),
 }
 
 /// AOV that light found next belongs to.

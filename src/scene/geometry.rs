@@ -19,13 +19,33 @@ pub enum Attribute<T> {
 impl<T: Copy + std::ops::Mul<f32, Output = T> + std::ops::Add<Output = T>> Attribute<T> {
     /// Linear interpolation at barycentrics (1 - u - v, u, v).
     pub fn at(&self, triangle: usize, corners: [u32; 3], u: f32, v: f32) -> T {
-        let [a, b, c] = match self {
-            Attribute::Constant(value) => return *value,
-            Attribute::Triangle(values) => return values[triangle],
+        match self {
+            Attribute::Constant(value) => *value,
+            Attribute::Triangle(values) => values[triangle],
+            _ => {
+                let [a, b, c] = self.corners(triangle, corners);
+                a * (1.0 - u - v) + b * u + c * v
+            }
+        }
+    }
+
+    /// Values at the corners of a triangle.
+    pub fn corners(&self, triangle: usize, corners: [u32; 3]) -> [T; 3] {
+        match self {
+            Attribute::Constant(value) => [*value; 3],
+            Attribute::Triangle(values) => [values[triangle]; 3],
             Attribute::Point(values) => corners.map(|i| values[i as usize]),
             Attribute::Corner(values) => values[triangle],
-        };
-        a * (1.0 - u - v) + b * u + c * v
+        }
+    }
+
+    /// Bytes beside the value itself.
+    fn memory(&self) -> usize {
+        match self {
+            Attribute::Constant(_) => 0,
+            Attribute::Point(values) | Attribute::Triangle(values) => size_of_val(values.as_slice()),
+            Attribute::Corner(values) => size_of_val(values.as_slice()),
+        }
     }
 }
 
@@ -95,8 +115,12 @@ impl Geometry {
         used
     }
 
+    /// Bytes, attributes and BVH included.
     pub fn memory(&self) -> usize {
-        self.points.len() * 12 + self.triangles.len() * 12 + self.blas.memory()
+        let attributes = [&self.normals, &self.display_color].into_iter().flatten().map(Attribute::memory);
+        let slots = self.slots.as_ref().map_or(0, |slots| size_of_val(slots.as_slice()));
+        let indexed = size_of_val(self.points.as_slice()) + size_of_val(self.triangles.as_slice());
+        indexed + self.blas.memory() + attributes.sum::<usize>() + slots
     }
 
     /// Edges (between points welded by position) that do not join faces in pairs: what keeps the mesh from

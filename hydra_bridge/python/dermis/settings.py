@@ -32,6 +32,7 @@ DERMIS_SETTINGS: dict[str, Any] = {
     "stratifyTechniques": True,
     "controlVariates": True,
     "exitLights": "auto",
+    "refractedLight": "auto",
     "guideExits": True,
     "cacheFill": "surface",
     "cacheResolution": 0,
