@@ -45,5 +45,6 @@ pub mod output;
 pub mod render;
 mod replace;
 pub mod sampling;
+mod saved;
 pub mod scene;
 pub mod subsurface;
