@@ -2,8 +2,8 @@
 
 use crate::bsdf::Boundary;
 use crate::flat::RenderSettings;
-use crate::scene::{Coating, Driven, Interior, Scene};
 use crate::medium::Medium;
+use crate::scene::{Coating, Driven, Interior, Scene};
 use crate::subsurface::technique::GuidedMedium;
 use serde::Serialize;
 

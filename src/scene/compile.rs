@@ -229,13 +229,7 @@ impl Builder<'_> {
     }
 
     /// Compiled once for all meshes that are alike: its tables take milliseconds.
-    fn constant_surface(
-        &mut self,
-        prim: &str,
-        material: &str,
-        display_color: Option<Rgb>,
-        opacity: f32,
-    ) -> Surface {
+    fn constant_surface(&mut self, prim: &str, material: &str, display_color: Option<Rgb>, opacity: f32) -> Surface {
         let key = (material.to_owned(), display_color.map(|c| c.to_array().map(f32::to_bits)), opacity.to_bits());
         if let Some(known) = self.known.get(&key) {
             return known.clone();
