@@ -35,6 +35,21 @@ WAX = Stage(look=medium())
 CLASSICAL = replace(WAX, flags=(*WAX.flags, "--walk", "classical"))
 against_classical = partial(Compared, without=CLASSICAL, against="a grey medium, classical walks")
 
+SMOOTH = replace(CLASSICAL, look=medium("dielectric", more="float inputs:roughness = 0"))
+
+COLORED = f"""
+    color3f[] primvars:displayColor = {[(0.5, 0.5, 0.5)] * FACES} (interpolation = "uniform")
+"""
+DRIVEN = """
+    color3f inputs:diffuseColor.connect = <Reader.outputs:result>
+    def Shader "Reader"
+    {
+        uniform token info:id = "UsdPrimvarReader_float3"
+        string inputs:varname = "displayColor"
+        float3 outputs:result
+    }
+"""
+
 DARK = replace(WAX, world="", flags=(*WAX.flags, "--disableCameraLight"))
 """Media, and no light to walk to."""
 
@@ -189,6 +204,21 @@ CAPABILITIES = (
         against_classical("an index-matched boundary", replace(CLASSICAL, look=medium("indexMatched"))),
     ),
     Capability(
+        "refracted light",
+        Compared(
+            "auto, with a diffuse boundary",
+            CLASSICAL,
+            setting(CLASSICAL, "--set", "refractedLight=off"),
+            "refractedLight=off",
+        ),
+        Compared(
+            "a smooth dielectric boundary, classical walks",
+            SMOOTH,
+            setting(SMOOTH, "--set", "refractedLight=off"),
+            "the same, refractedLight=off",
+        ),
+    ),
+    Capability(
         "guided walks",
         Compared(
             "walk=auto where nothing is lit",
@@ -277,6 +307,16 @@ CAPABILITIES = (
             lit(light("DomeLight", "Sky", f"{DOME}\n {IMAGE}")),
             lit(light("DomeLight", "Sky", DOME)),
             "a plain dome",
+        ),
+    ),
+    Capability(
+        "driven surfaces",
+        unrendered("a colour that a primvar drives", DRIVEN),
+        Compared(
+            "a colour that a primvar drives",
+            replace(PLAIN, ball=COLORED, look=DRIVEN),
+            replace(PLAIN, ball=COLORED),
+            "an opaque ball with the primvar",
         ),
     ),
     Capability(
