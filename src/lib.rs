@@ -46,4 +46,5 @@ pub mod render;
 mod replace;
 pub mod sampling;
 pub mod scene;
+pub mod subdivision;
 pub mod subsurface;

@@ -15,7 +15,9 @@ pub use array::Array;
 pub use camera::{Camera, Projection};
 pub use light::{Light, LightShape, Shaping};
 pub use material::{Material, OpenPbrSurface, PreviewSurface, StandardSurface};
-pub use mesh::{GeomSubset, IDENTITY, Instancer, Interpolation, Matrix4d, Mesh, Orientation, Prims, Primvar, Texture};
+pub use mesh::{
+    GeomSubset, IDENTITY, Instancer, Interpolation, Matrix4d, Mesh, Orientation, Prims, Primvar, SubdivTags, Texture,
+};
 pub use settings::{AOVS, GUIDE_AOVS, MAX_NORMALS, RenderSettings, WALKS};
 
 use serde::{Deserialize, Serialize};

@@ -9,6 +9,10 @@ pub struct Needs {
     pub meshes: u32,
     /// Placements of meshes beyond the first one of each.
     pub instanced: u32,
+    /// Subdivision surfaces that were refined, and their triangles (one placement of each); those left as cages.
+    pub refined_meshes: u32,
+    pub refined_triangles: u64,
+    pub cages: u32,
     pub lights: u32,
     /// Lights that rays can hit (shapes and meshes) and those at infinity.
     pub mesh_lights: u32,
@@ -41,6 +45,11 @@ impl Needs {
         self.diffuse_media + self.dielectric_media + self.index_matched_media > 0
     }
 
+    fn subdivision(&self) -> String {
+        let Self { refined_meshes, refined_triangles, cages, .. } = self;
+        format!("{refined_meshes} surfaces refined to {refined_triangles} triangles, {cages} left as cages")
+    }
+
     pub fn explain(&self) -> Vec<Explanation> {
         let line = |capability, on, why: String| Explanation { capability, on, why };
         let count = |n: u32, what: &str| format!("{n} {what}");
@@ -71,6 +80,7 @@ impl Needs {
                 "surfaces with opacity below 1, or index-matched media".into(),
             ),
             line("instancing", self.instanced > 0, count(self.instanced, "placements share geometry")),
+            line("subdivision", self.refined_meshes > 0, self.subdivision()),
             line("mesh lights", self.mesh_lights > 0, count(self.mesh_lights, "meshes emit as lights")),
             line(
                 "environment sampling",

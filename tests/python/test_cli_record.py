@@ -14,6 +14,7 @@ from PIL import Image
 
 pytest.importorskip("dermis._core", reason="the Rust core is not built")
 
+from dermis import render
 from dermis.cli import main
 
 CARD = """
@@ -377,6 +378,95 @@ def test_explain_lists_needs_and_warnings(stage, capsys):
     assert "camera: framed automatically" in said
     assert "needs" in said
     assert "/: camera: none found" in said
+
+
+BALL = """
+    def Mesh "Ball"
+    {
+        int[] faceVertexCounts = [4, 4, 4, 4, 4, 4]
+        int[] faceVertexIndices = [0, 2, 3, 1, 4, 5, 7, 6, 0, 1, 5, 4, 2, 6, 7, 3, 0, 4, 6, 2, 1, 3, 7, 5]
+        point3f[] points = [(-1, -1, -1), (1, -1, -1), (-1, 1, -1), (1, 1, -1),
+            (-1, -1, 1), (1, -1, 1), (-1, 1, 1), (1, 1, 1)]
+    }
+"""
+
+
+def test_complexity_refines_subdivision_surfaces(stage, tmp_path, capsys):
+    """usdrecord's default is the cage; then 24, 96 and 384 quads for its six."""
+    file, covered = stage(BALL, CAMERA, DOME), []
+    flags = ("--samples", "4", "-w", "64", "--stats", tmp_path / "s.json")
+    for level, name in enumerate(("low", "medium", "high", "veryhigh")):
+        typed = ("--complexity", name) if level else ()
+        assert run("record", file, tmp_path / "a.exr", *flags, *typed) == 0
+        said, triangles = capsys.readouterr().out, 12 * 4**level
+        assert f"Subdivision surfaces at level {level}: 1, {triangles} triangles" in said
+        needs = json.loads((tmp_path / "s.json").read_text())["needs"]
+        assert needs["triangles"] == triangles and needs["refined_meshes"] == (level > 0)
+        covered.append(read_exr(tmp_path / "a.exr")[1][..., 3].mean())
+    # The cage is the square of 2 x 2 of its front at distance 9; the surface is well within, the same from level 1 on.
+    assert covered[0] == pytest.approx((2 / 9 * 50 / 20) ** 2, rel=0.02)
+    assert covered[1] < 0.6 * covered[0]
+    assert covered[1] < covered[2] < covered[3] < 1.1 * covered[1]
+
+
+def test_refine_levels_by_prim_by_settings_and_by_flag(stage, capsys):
+    own = BALL.replace("    {\n", "    {\n        int primvars:dermis:refineLevel = 1\n", 1)
+    settings = SETTINGS.replace("dermis:samples = 2", "dermis:refineLevel = 2")
+    metadata = 'renderSettingsPrimPath = "/Render/Settings"'
+    file = stage(own, BALL.replace("Ball", "Other"), CAMERA, DOME, outside=settings, metadata=metadata)
+    assert run("explain", file) == 0
+    said = capsys.readouterr().out
+    assert "/World/Ball: catmullClark, level 1: 6 faces to 48 triangles" in said
+    assert "/World/Other: catmullClark, level 2: 6 faces to 192 triangles" in said
+    assert run("explain", file, "--complexity", "veryhigh") == 0
+    said = capsys.readouterr().out
+    assert "/World/Ball: catmullClark, level 1" in said and "/World/Other: catmullClark, level 3" in said
+    assert run("explain", file, "--set", "refineLevel=0") == 0
+    assert "/World/Other: catmullClark, its cage: 6 faces to 12 triangles" in capsys.readouterr().out
+
+
+def test_a_flattened_file_is_refined_as_asked(stage, tmp_path, capsys):
+    assert run("flatten", stage(BALL, CAMERA, DOME), tmp_path / "a.dermis", "-w", "16") == 0
+    for flags, level in ((("-c", "high"), 2), ((), 0)):
+        assert run("record", tmp_path / "a.dermis", tmp_path / "a.exr", "--samples", "2", *flags) == 0
+        assert f"Subdivision surfaces at level {level}: 1," in capsys.readouterr().out
+
+
+CREASES = """        int[] creaseIndices = [0, 7]
+        int[] creaseLengths = [2]
+        float[] creaseSharpnesses = [2]
+    }
+"""
+
+
+def test_tags_that_fit_nothing_are_said(stage, tmp_path, capsys):
+    file = stage(BALL.replace("    }\n", CREASES), CAMERA, DOME)
+    assert run("record", file, tmp_path / "a.exr", "-c", "high", *SMALL) == 0
+    assert "Warning: /World/Ball: creaseIndices: 1 of 1 edges are none of the mesh" in capsys.readouterr().err
+
+
+POINTS = """
+    def Points "Points"
+    {
+        point3f[] points = [(-1.2, 0, 0), (1.2, 0, 0)]
+        float[] widths = [1.6, 0.8]
+        color3f[] primvars:displayColor = [(0.8, 0, 0), (0, 0.4, 0)] (
+            interpolation = "vertex"
+        )
+    }
+"""
+
+
+def test_points_are_spheres_of_their_width_and_colour(stage):
+    file = stage(POINTS, CAMERA, DOME)
+    image = render(file, resolution=(128, 128), samples=16)
+    red, green, alpha = image["albedo"][..., 0], image["albedo"][..., 1], image.color[..., 3]
+    assert red[:, 64:].sum() < 0.1 * red[:, :64].sum() and green[:, :64].sum() < 0.1 * red[:, :64].sum()
+    assert green[:, 64:].max() == pytest.approx(0.4, abs=0.1)
+    # Discs of radius 0.8 and 0.4 at distance 10, on a film of 128 pixels for 4 units there.
+    left, right = alpha[:, :64].sum(), alpha[:, 64:].sum()
+    assert left == pytest.approx(np.pi * (0.8 * 32) ** 2, rel=0.04)
+    assert right == pytest.approx(np.pi * (0.4 * 32) ** 2, rel=0.04)
 
 
 def test_set_alone_lists_the_settings(capsys):

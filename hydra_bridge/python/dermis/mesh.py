@@ -6,13 +6,43 @@ from typing import Any
 import numpy as np
 from pxr import Usd, UsdGeom
 
+from .curves import read_primvar, tessellate_curves
 from .implicit import IMPLICIT_TYPES, tessellate
 from .reading import Reader
 
 PRIMVARS = {"st": ("st", 2), "displayColor": ("displayColor", 3), "displayOpacity": ("displayOpacity", 1)}
 """Primvar -> field of Mesh, components."""
 
-MESH_TYPES = ("Mesh", *IMPLICIT_TYPES)
+REFINE_LEVEL = "dermis:refineLevel"
+"""A constant primvar, which a group hands down to its meshes."""
+
+INHERITED_PRIMVARS = (*PRIMVARS, REFINE_LEVEL)
+
+MAX_LEVEL = 8
+
+SUBDIV_TOKENS = {
+    "interpolateBoundary": ("edgeAndCorner", "edgeOnly", "none"),
+    "faceVaryingLinearInterpolation": (
+        "cornersPlus1",
+        "cornersPlus2",
+        "cornersOnly",
+        "boundaries",
+        "none",
+        "all",
+    ),
+    "triangleSubdivisionRule": ("catmullClark", "smooth"),
+}
+"""Tokens by attribute, the schema's fallback first."""
+
+SUBDIV_ARRAYS = {
+    "creaseIndices": np.int32,
+    "creaseLengths": np.int32,
+    "creaseSharpnesses": np.float32,
+    "cornerIndices": np.int32,
+    "cornerSharpnesses": np.float32,
+}
+
+MESH_TYPES = ("Mesh", "BasisCurves", *IMPLICIT_TYPES)
 
 Inherited = Mapping[str, UsdGeom.Primvar]
 """Constant primvars of the ancestors by name."""
@@ -21,8 +51,13 @@ Inherited = Mapping[str, UsdGeom.Primvar]
 def flatten_mesh(prim: Usd.Prim, kind: str, reader: Reader, inherited: Inherited) -> dict[str, Any] | None:
     """Fields of `flat::Mesh` except transform, visibility and material; None where there is nothing to
     render."""
+    if kind == "BasisCurves":
+        return curves(prim, reader, inherited)
     if kind == "Mesh":
         mesh = polygons(prim, reader)
+        if mesh and mesh["subdivisionScheme"] != "none":
+            level = refine_level(prim, inherited, reader)
+            mesh |= {} if level is None else {"refineLevel": level}
     elif (surface := tessellate(prim, kind, reader)) is not None:
         mesh = {"orientation": "rightHanded", "subdivisionScheme": "none", **surface}
     else:
@@ -32,6 +67,21 @@ def flatten_mesh(prim: Usd.Prim, kind: str, reader: Reader, inherited: Inherited
     mesh["doubleSided"] = reader.value(prim, "doubleSided", kind == "Plane")
     add_primvars(prim, kind, mesh, reader, inherited)
     return mesh
+
+
+def curves(prim: Usd.Prim, reader: Reader, inherited: Inherited) -> dict[str, Any] | None:
+    made = tessellate_curves(prim, reader)
+    if made is None:
+        return None
+    api = UsdGeom.PrimvarsAPI(prim)
+    for name, (field, components) in PRIMVARS.items():
+        primvar = api.GetPrimvar(name)
+        primvar = primvar if primvar and primvar.HasAuthoredValue() else inherited.get(name)
+        attribute = primvar and read_primvar(prim, primvar, components, made.spline, reader)
+        if attribute:
+            made.surface[field] = made.primvar(*attribute)
+    made.surface.setdefault("doubleSided", reader.value(prim, "doubleSided", False))
+    return made.surface
 
 
 def polygons(prim: Usd.Prim, reader: Reader) -> dict[str, Any] | None:
@@ -57,7 +107,7 @@ def polygons(prim: Usd.Prim, reader: Reader) -> dict[str, Any] | None:
     if mesh["subdivisionScheme"] == "none":
         add_normals(prim, mesh, reader)
     else:
-        warn_sharpness(prim, reader)
+        mesh["subdivTags"] = subdiv_tags(prim, reader)
     return mesh
 
 
@@ -70,14 +120,29 @@ def choice(prim: Usd.Prim, name: str, tokens: tuple[str, ...], reader: Reader) -
     return tokens[0]
 
 
-def warn_sharpness(prim: Usd.Prim, reader: Reader) -> None:
-    authored = [
-        name for name in ("creaseIndices", "cornerIndices") if prim.GetAttribute(name).HasAuthoredValue()
-    ]
-    if authored:
-        reader.warn(
-            prim, f"{', '.join(authored)}: creases and corners are not supported yet; they are ignored"
-        )
+def subdiv_tags(prim: Usd.Prim, reader: Reader) -> dict[str, Any]:
+    """Fields of `flat::SubdivTags`; the core checks the arrays against the mesh."""
+    tags: dict[str, Any] = {
+        name: choice(prim, name, tokens, reader) for name, tokens in SUBDIV_TOKENS.items()
+    }
+    for name, dtype in SUBDIV_ARRAYS.items():
+        values = reader.array(prim, name, dtype, 1)
+        if values is not None and len(values):
+            tags[name] = values
+    return tags
+
+
+def refine_level(prim: Usd.Prim, inherited: Inherited, reader: Reader) -> int | None:
+    """`primvars:dermis:refineLevel` of the prim or an ancestor; None: that of the render settings."""
+    own = UsdGeom.PrimvarsAPI(prim).GetPrimvar(REFINE_LEVEL)
+    primvar = own if own and own.HasAuthoredValue() else inherited.get(REFINE_LEVEL)
+    if primvar is None:
+        return None
+    level = reader.coerced(prim, f"primvars:{REFINE_LEVEL}", primvar.Get(reader.time), -1)
+    if 0 <= level <= MAX_LEVEL:
+        return level
+    reader.warn(prim, f"primvars:{REFINE_LEVEL}: {level} is none of 0 to {MAX_LEVEL}; it is ignored")
+    return None
 
 
 def add_normals(prim: Usd.Prim, mesh: dict[str, Any], reader: Reader) -> None:

@@ -124,6 +124,7 @@ class Recorder:
             print(f"Recording time code: {when.GetValue():f}", flush=True)
         self.printer.print(loaded.warnings)
         loaded.delegate.commit()
+        self.say(*refinement_lines(json.loads(loaded.delegate.explain())["subdivision"]))
         with interrupt.deferred():
             render(loaded.delegate, lambda fraction: progress.update(number, fraction), interrupt)
             stats = self.finish(loaded, began)
@@ -166,6 +167,18 @@ class Recorder:
             if line not in self.said:
                 self.said.append(line)
                 print(line, flush=True)
+
+
+def refinement_lines(surfaces: list[dict[str, Any]]) -> list[str]:
+    """What was refined: a line per level."""
+    lines = []
+    for level in sorted({surface["level"] for surface in surfaces}):
+        triangles = [surface["triangles"] for surface in surfaces if surface["level"] == level]
+        hint = " (their cages; --complexity refines them)" if level == 0 else ""
+        lines.append(
+            f"Subdivision surfaces at level {level}: {len(triangles)}, {sum(triangles)} triangles{hint}"
+        )
+    return lines
 
 
 def render(delegate: Any, report: Any, interrupt: Interrupt) -> None:
