@@ -403,10 +403,12 @@ def test_complexity_refines_subdivision_surfaces(stage, tmp_path, capsys):
         needs = json.loads((tmp_path / "s.json").read_text())["needs"]
         assert needs["triangles"] == triangles and needs["refined_meshes"] == (level > 0)
         covered.append(read_exr(tmp_path / "a.exr")[1][..., 3].mean())
-    # The cage is the square of 2 x 2 of its front at distance 9; the surface is well within, the same from level 1 on.
+    # The cage is the square of 2 x 2 of its front at distance 9; the surface is well within. Chords of its silhouette
+    # miss less of it from level to level, by 4 each.
     assert covered[0] == pytest.approx((2 / 9 * 50 / 20) ** 2, rel=0.02)
     assert covered[1] < 0.6 * covered[0]
-    assert covered[1] < covered[2] < covered[3] < 1.1 * covered[1]
+    assert covered[1] < covered[2] < covered[3]
+    assert covered[3] - covered[2] < 0.5 * (covered[2] - covered[1]) < 0.1 * covered[1]
 
 
 def test_refine_levels_by_prim_by_settings_and_by_flag(stage, capsys):

@@ -1,5 +1,6 @@
 """BasisCurves: points against the bases' own formulas, tubes closed and of the right area, primvars that follow."""
 
+import ast
 from collections import Counter
 
 import numpy as np
@@ -83,7 +84,7 @@ def test_tubes_are_closed_and_face_outwards(flat, basis, wrap):
 
 
 def test_segments_are_those_of_their_basis(flat):
-    p = np.array([eval(f"({text})".replace("((", "(").replace("))", ")")) for text in POINTS.split("), (")], float)
+    p = np.array(ast.literal_eval(f"[{POINTS}]"), float)
     bezier = centres(flat(curves(basis="bezier")).prims["/C"])
     assert np.allclose(bezier[[0, -1]], p[[0, 6]], atol=1e-6)
     assert np.abs(bezier - (p[0] + 3 * p[1] + 3 * p[2] + p[3]) / 8).sum(axis=1).min() < 0.15
@@ -118,7 +119,9 @@ def test_primvars_follow_the_curves(flat):
     two = "(0, 0, 0), (0, 0, 1), (1, 0, 0), (1, 0, 1)"
 
     def colored(interpolation, values):
-        more = f'color3f[] primvars:displayColor = {values} (\n        interpolation = "{interpolation}"\n    )'
+        more = (
+            f'color3f[] primvars:displayColor = {values} (\n        interpolation = "{interpolation}"\n    )'
+        )
         result = flat(curves(two, "[2, 2]", more=more, type="linear"))
         return result, result.prims["/C"].get("displayColor")
 
@@ -130,7 +133,9 @@ def test_primvars_follow_the_curves(flat):
         result, vertex = colored(interpolation, "[(0, 0, 0), (1, 0, 0), (1, 0, 0), (0, 0, 0)]")
         x, z = result.prims["/C"]["points"][:, [0, 2]].T
         value = vertex["values"][vertex["indices"]][:, 0]
-        assert vertex["interpolation"] == "vertex" and np.allclose(value, np.where(x < 0.5, z, 1 - z), atol=1e-6)
+        assert vertex["interpolation"] == "vertex" and np.allclose(
+            value, np.where(x < 0.5, z, 1 - z), atol=1e-6
+        )
     result, none = colored("vertex", colors)
     assert none is None and "2 values where vertex interpolation needs 4" in result.warnings[0][1]
 

@@ -31,8 +31,8 @@ class Triangles:
 
 
 def triangles_of(prim: Fields, path: str, refine_level: int = 0) -> Triangles:
-    """Polygons become fans, which needs them convex. Subdivision surfaces are exported as cages, so `refine_level`, that
-    of the settings, has to be 0 for them. Raises ExportError."""
+    """Polygons become fans, which needs them convex. Subdivision surfaces are exported as cages, so `refine_level`,
+    that of the settings, has to be 0 for them. Raises ExportError."""
     scheme, level = prim["subdivisionScheme"], prim.get("refineLevel", refine_level)
     require(scheme == "none" or level == 0, path, "refineLevel", level)
     require(not prim.get("instancer"), path, "instancer", prim.get("instancer"))
