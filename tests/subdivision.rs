@@ -348,6 +348,11 @@ fn bad_tags_and_topology_are_named() {
     let said = faults(&mesh);
     assert!(said.contains("creaseLengths: ") && said.contains("cornerSharpnesses: 0 values for 2"), "{said}");
     assert_eq!(refined(&mesh, 1).points, refined(&cube(), 1).points);
+    let mut alone = cube();
+    alone.face_vertex_counts = vec![4].into();
+    alone.face_vertex_indices = vec![0, 2, 3, 1].into();
+    alone.subdiv_tags.interpolate_boundary = "none".into();
+    assert!(faults(&alone).contains("interpolateBoundary: none leaves no face"));
     let looped = Mesh { subdivision_scheme: "loop".into(), ..cube() };
     assert!(faults(&looped).contains("loop needs triangles, 6 faces"));
     let mut turned = cube();

@@ -27,12 +27,14 @@ def new_stage(name: str, doc: str, camera: tuple[float, float, float], focal: fl
     key = UsdLux.RectLight.Define(stage, "/World/Key")
     key.CreateWidthAttr(6.0)
     key.CreateHeightAttr(6.0)
-    key.CreateIntensityAttr(12.0)
+    key.CreateIntensityAttr(25.0)
     UsdGeom.XformCommonAPI(key).SetTranslate((-6.0, 9.0, 6.0))
     UsdGeom.XformCommonAPI(key).SetRotate((-46.0, -45.0, 0.0))
     UsdLux.DomeLight.Define(stage, "/World/Dome").CreateIntensityAttr(0.35)
     view = UsdGeom.Camera.Define(stage, "/World/main_cam")
     view.CreateFocalLengthAttr(focal)
+    view.CreateHorizontalApertureAttr(36.0)
+    view.CreateVerticalApertureAttr(20.25)
     UsdGeom.XformCommonAPI(view).SetTranslate(camera)
     UsdGeom.XformCommonAPI(view).SetRotate((-math.degrees(math.atan2(camera[1] - 1.0, camera[2])), 0.0, 0.0))
     settings = UsdRender.Settings.Define(stage, "/Render/Settings")
@@ -70,7 +72,7 @@ def crease(mesh: UsdGeom.Mesh, chains: list[list[int]], sharpness: list[float]) 
 def subdivision() -> None:
     """Back: cubes with creases of sharpness 0, 1, 2.5 and infinite. Front: sheets whose boundary has corners, is
     smooth, ends a face early; a hole and corners; Loop; a cage (level 0 by primvar)."""
-    stage = new_stage("subdivision.usda", " ".join(subdivision.__doc__.split()), (0.0, 5.5, 13.0), 38.0)
+    stage = new_stage("subdivision.usda", " ".join(subdivision.__doc__.split()), (0.0, 5.5, 13.0), 36.0)
     attribute = stage.GetPrimAtPath("/Render/Settings").CreateAttribute(
         "dermis:refineLevel", Sdf.ValueTypeNames.Int
     )
@@ -129,7 +131,7 @@ def curves_prim(
 def curves() -> None:
     """One zigzag as linear, bezier, bspline and catmullRom (pinned where it can be); a closed ring; a ribbon; a tuft
     of tapering hair with a colour per vertex."""
-    stage = new_stage("curves.usda", " ".join(curves.__doc__.split()), (0.0, 4.0, 13.0), 40.0)
+    stage = new_stage("curves.usda", " ".join(curves.__doc__.split()), (0.0, 4.0, 13.0), 38.0)
     zigzag = [Gf.Vec3f(0.9 * math.sin(2.1 * i), 0.35 * i + 0.3, 0.5 * math.cos(1.3 * i)) for i in range(7)]
     looks = {"linear": "nonperiodic", "bezier": "nonperiodic", "bspline": "pinned", "catmullRom": "pinned"}
     for i, (basis, wrap) in enumerate(looks.items()):
@@ -175,7 +177,7 @@ def tuft(stage: Usd.Stage) -> None:
 
 def points() -> None:
     """A spiral of points with widths and colours of their own; a handful of wax beads."""
-    stage = new_stage("points.usda", points.__doc__, (0.0, 5.0, 13.0), 45.0)
+    stage = new_stage("points.usda", points.__doc__, (0.0, 5.0, 13.0), 40.0)
     number = 400
     turns = [0.25 * i for i in range(number)]
     places = [

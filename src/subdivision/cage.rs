@@ -35,6 +35,11 @@ impl Cage {
         let broken = broken_vertices(t, &halves, &bad);
         if boundary == "none" && scheme != Scheme::Bilinear {
             cage.holes.extend(boundary_faces(t));
+            if cage.holes.len() == t.faces() {
+                let message =
+                    "interpolateBoundary: none leaves no face that is not at the boundary; nothing is rendered";
+                cage.faults.push(message.into());
+            }
         }
         t.sharpen_boundary(&bad);
         sharpen_corners(t, &broken, &bad, boundary == "edgeAndCorner");
@@ -74,12 +79,18 @@ fn sharpen_edges(t: &mut Topology, tags: &SubdivTags, faults: &mut Vec<String>) 
     let (creases, points) = (lengths.len(), lengths.iter().fold(0_usize, |sum, n| sum.saturating_add(*n)));
     if lengths.iter().any(|n| *n < 2) || points != tags.crease_indices.len() {
         let given = tags.crease_indices.len();
-        faults.push(format!("creaseLengths: {points} points in {creases} creases of 2 or more do not fit the {given} creaseIndices; creases are ignored"));
+        faults.push(format!(
+            "creaseLengths: {points} points in {creases} creases of 2 or more do not fit the {given} creaseIndices; \
+             creases are ignored"
+        ));
         return;
     }
     let (given, edges) = (tags.crease_sharpnesses.len(), points - creases);
     if given != creases && given != edges {
-        faults.push(format!("creaseSharpnesses: {given} values, neither one for each of {creases} creases nor for each of their {edges} edges; creases are ignored"));
+        faults.push(format!(
+            "creaseSharpnesses: {given} values, neither one for each of {creases} creases nor for each of their {edges} \
+             edges; creases are ignored"
+        ));
         return;
     }
     let (mut first, mut edge, mut missed) = (0, 0, 0);
@@ -93,7 +104,8 @@ fn sharpen_edges(t: &mut Topology, tags: &SubdivTags, faults: &mut Vec<String>) 
     }
     if missed > 0 {
         faults.push(format!(
-            "creaseIndices: {missed} of {edges} edges are none of the mesh, or their sharpness is no number; they are ignored"
+            "creaseIndices: {missed} of {edges} edges are none of the mesh, or their sharpness is no number; they are \
+             ignored"
         ));
     }
 }
