@@ -21,8 +21,8 @@ def new_stage(name: str, doc: str, camera: tuple[float, float, float], focal: fl
     stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
     floor = UsdGeom.Plane.Define(stage, "/World/Floor")
     floor.CreateAxisAttr("Y")
-    floor.CreateWidthAttr(60.0)
-    floor.CreateLengthAttr(60.0)
+    floor.CreateWidthAttr(400.0)
+    floor.CreateLengthAttr(400.0)
     floor.CreateDisplayColorAttr([Gf.Vec3f(0.3)])
     key = UsdLux.RectLight.Define(stage, "/World/Key")
     key.CreateWidthAttr(6.0)
@@ -89,7 +89,7 @@ def subdivision() -> None:
         sheet = cage(stage, f"/World/Sheet_{boundary}", [p * 0.6 for p in points], [4] * 9, faces)
         sheet.CreateInterpolateBoundaryAttr(boundary)
         sheet.CreateDoubleSidedAttr(True)
-        place(sheet, -5.2 + 2.3 * i, 0.1, 2.2)
+        place(sheet, -4.3 + 2.1 * i, 0.1, 2.2)
     box = cage(stage, "/World/Hole", CUBE, [4] * 6, CUBE_FACES)
     box.CreateHoleIndicesAttr([1])
     box.CreateDoubleSidedAttr(True)
@@ -110,7 +110,7 @@ def subdivision() -> None:
     plain = cage(stage, "/World/Cage", CUBE, [4] * 6, CUBE_FACES)
     UsdGeom.PrimvarsAPI(plain).CreatePrimvar("dermis:refineLevel", Sdf.ValueTypeNames.Int).Set(0)
     plain.AddScaleOp().Set((0.6, 0.6, 0.6))
-    plain.AddTranslateOp().Set((9.0, 1.0, 4.0))
+    plain.AddTranslateOp().Set((8.0, 1.0, 3.0))
     stage.Save()
 
 

@@ -20,6 +20,8 @@ FEWEST_SIDES = 6
 
 CHORD_ERROR = 0.05
 """Distance of a chord from its curve, over the largest width of the segment."""
+TWIST = np.radians(10.0)
+"""Turn of a ribbon's normal in one piece."""
 MOST_PIECES = 32
 """Of one cubic segment."""
 
@@ -57,12 +59,12 @@ def tessellate_curves(prim: Usd.Prim, reader: Reader) -> Tessellation | None:
     if widths is None:
         reader.warn(prim, "widths: none that can be used; 1 is")
         widths = ("constant", np.ones(1))
-    samples = spline.sampled(pieces(spline, widths))
+    normals = read_attribute(prim, "normals", 3, spline, reader)
+    samples = spline.sampled(pieces(spline, widths, normals))
     width = np.maximum(samples.at(widths[1], widths[0]), 0.0)
     if not (width > 0.0).any():
         reader.warn(prim, "widths: none is above 0; the curves are not rendered")
         return None
-    normals = read_attribute(prim, "normals", 3, spline, reader)
     made = Tessellation(spline, samples)
     if normals is None:
         tubes(made, width)
@@ -149,13 +151,17 @@ def fitting(
     return None
 
 
-def pieces(spline: Spline, widths: Attribute) -> NDArray[np.int64]:
-    """Pieces of each segment: a chord is |C''| h^2 / 8 away from its curve."""
+def pieces(spline: Spline, widths: Attribute, normals: Attribute | None) -> NDArray[np.int64]:
+    """Pieces of each segment: a chord is |C''| h^2 / 8 away from its curve; a ribbon turns by TWIST at most."""
     number = len(spline.curve)
     at = [Samples(spline, np.arange(number), np.full(number, u)) for u in (0.0, 0.5, 1.0)]
     width = np.max([samples.at(widths[1], widths[0]) for samples in at], axis=0)
     # A width of nothing wants no pieces beyond the most.
     wanted = np.sqrt(spline.bends() / (8.0 * CHORD_ERROR * np.maximum(width, 1e-30)))
+    if normals is not None:
+        a, b = (unit(samples.at(normals[1], normals[0])) for samples in (at[0], at[2]))
+        turn = np.arccos(np.clip(np.sum(a * b, axis=1), -1.0, 1.0))
+        wanted = np.maximum(wanted, turn / TWIST)
     return np.clip(np.ceil(wanted), 1, MOST_PIECES).astype(np.int64)
 
 
