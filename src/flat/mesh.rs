@@ -155,7 +155,7 @@ pub struct Instancer {
 }
 
 fn is_empty(values: &Array<[f32; 3]>) -> bool {
-    values.len() == 0
+    values.is_empty()
 }
 
 /// An image, decoded by the bridge: linear Rec.709, row 0 at the top.

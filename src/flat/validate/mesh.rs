@@ -53,7 +53,7 @@ pub fn validate_instancer(path: &str, instancer: &mut Instancer, warnings: &mut 
         return;
     }
     let good: Vec<usize> = (0..total).filter(|i| placement_fault(&instancer.transforms[*i]).is_none()).collect();
-    if instancer.display_color.len() > 0 {
+    if !instancer.display_color.is_empty() {
         instancer.display_color = good.iter().map(|i| instancer.display_color[*i]).collect::<Vec<_>>().into();
     }
     instancer.transforms = good.iter().map(|i| instancer.transforms[*i]).collect::<Vec<_>>().into();
