@@ -7,12 +7,12 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 TEST_INSTALLED := $(VENV)/.installed-test
 SOURCES := pyproject.toml Cargo.toml Cargo.lock \
-    $(shell find src hydra_bridge -type f \( -name '*.rs' -o -name '*.toml' -o -name '*.py' -o -name '*.pyi' \))
+    $(shell find src hydra_bridge -type f \( -name '*.rs' -o -name '*.toml' -o -name '*.py' -o -name '*.pyi' -o -name '*.json' \))
 
 # pyo3 asks this interpreter for its build settings, also under clippy and rustdoc.
 export PYO3_PYTHON := $(CURDIR)/$(BIN)/python
 
-.PHONY: render test stability lint format clean
+.PHONY: render test stability needs scaling bench-lights lint format clean
 .DELETE_ON_ERROR:
 
 render: $(INSTALLED)
@@ -26,6 +26,20 @@ test: $(TEST_INSTALLED) lint
 # The hard cases, some minutes: out/stability.html and out/stability.csv.
 stability: $(TEST_INSTALLED)
 	PYTHONPATH=tests $(BIN)/python -m stability --out out
+
+# What capabilities cost, in use and not, some minutes: the table that `dermis explain` and the reports show.
+# Instructions are counted by valgrind, where it is installed.
+needs: $(TEST_INSTALLED)
+	cargo build --release --example phases
+	PYTHONPATH=tests $(BIN)/python -m needs --out hydra_bridge/python/dermis/costs.json
+
+# What a sample, a start and a byte cost as scenes grow: out/scaling.csv and out/scaling.png.
+scaling: $(TEST_INSTALLED)
+	PYTHONPATH=tests $(BIN)/python -m scaling --out out
+
+# Cost and efficiency against the number of lights, some minutes.
+bench-lights: $(TEST_INSTALLED)
+	$(BIN)/python tests/bench_lights.py
 
 lint: $(TEST_INSTALLED)
 	cargo fmt --all --check

@@ -17,7 +17,11 @@ pub fn mean(c: Rgb) -> f32 {
     (c.x + c.y + c.z) * (1.0 / 3.0)
 }
 
+/// Per component; of a grey one, once.
 pub fn exp(v: Vec3) -> Vec3 {
+    if v.x == v.y && v.y == v.z {
+        return Vec3::splat(v.x.exp());
+    }
     Vec3::new(v.x.exp(), v.y.exp(), v.z.exp())
 }
 

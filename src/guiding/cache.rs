@@ -5,6 +5,7 @@
 use super::cells::Cells;
 use super::fit::fit;
 use super::vmf::{MAX_LOBES, VmfMixture};
+use crate::light::Parts;
 use crate::math::{Rgb, mean};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
@@ -52,7 +53,7 @@ pub struct Cell {
 pub struct Cache {
     pub cells: Cells,
     pub means: Vec<Cell>,
-    /// Visible share of each light per cell, cell by cell.
+    /// Visible share of each part of the lights per cell, cell by cell; empty: not learned.
     pub visibility: Vec<f32>,
     /// Directions of incident light per cell, of BILL alone; `None` where no light was seen.
     pub incident: Vec<Option<VmfMixture>>,
@@ -60,7 +61,6 @@ pub struct Cache {
 
 #[derive(Debug, Clone, Copy, Default)]
 struct Sums {
-    count: u32,
     /// Records that saw light.
     lit: u32,
     area: f64,
@@ -75,37 +75,35 @@ const FOLDED: f64 = 0.3;
 /// Share of visibility that no light loses: what a few samples did not see may still be seen.
 const LEAST_VISIBLE: f32 = 0.1;
 
-/// Prior of an unseen light, in samples that see it.
+/// Prior of a part, in samples that see of it what is seen of the part around it; of lights, in samples that see them.
 const VISIBILITY_PRIOR: f32 = 1.0;
 
 impl Cache {
-    /// From records in a fixed order. A cell is lit from `least_lit` records that saw light; `lights` in all.
-    pub fn build(size: f32, records: &[Record], least_lit: u32, lights: usize) -> Self {
+    /// From records in a fixed order. A cell is lit from `least_lit` records that saw light; of `parts` of the lights visible
+    /// shares are learned, if there are any.
+    pub fn build(size: f32, records: &[Record], least_lit: u32, parts: &Parts) -> Self {
         let mut cells = Cells::new(size);
         let mut sums: Vec<Sums> = Vec::new();
-        let mut seen: Vec<[f32; 2]> = Vec::new();
+        let mut seen: Vec<Seen> = Vec::new();
         for record in records {
             let at = cells.find_or_insert(record.p, record.n) as usize;
             if at == sums.len() {
                 sums.push(Sums::default());
-                seen.resize(seen.len() + lights, [0.0; 2]);
+                seen.resize(seen.len() + parts.len(), Seen::default());
             }
             sums[at].add(record);
-            for light in &record.lights {
-                let [visible, unshadowed] = &mut seen[at * lights + light.light as usize];
-                *visible += light.visible;
-                *unshadowed += light.unshadowed;
+            for light in record.lights.iter().filter(|_| !parts.is_empty()) {
+                parts.holding(light.light).for_each(|part| seen[at * parts.len() + part].add(light));
             }
         }
-        let visibility = sums.iter().enumerate().flat_map(|(at, sums)| {
-            let prior = VISIBILITY_PRIOR / sums.count as f32;
-            seen[at * lights..(at + 1) * lights].iter().map(move |[visible, unshadowed]| {
-                let share = if *unshadowed > 0.0 { visible / unshadowed } else { 1.0 };
-                ((share + prior) / (1.0 + prior)).clamp(LEAST_VISIBLE, 1.0)
-            })
-        });
+        let mut visibility: Vec<f32> = Vec::with_capacity(seen.len());
+        for (i, seen) in seen.iter().enumerate() {
+            let first = i - i % parts.len();
+            let around = parts.parents[i % parts.len()].map_or(1.0, |part| visibility[first + part as usize]);
+            visibility.push(seen.share(around));
+        }
         let means = sums.iter().map(|s| s.mean(least_lit)).collect();
-        Self { visibility: visibility.collect(), means, cells, incident: Vec::new() }
+        Self { visibility, means, cells, incident: Vec::new() }
     }
 
     /// Fits the directions of incident light in every cell.
@@ -121,10 +119,10 @@ impl Cache {
         self
     }
 
-    /// Visible share of every light, at a cell.
+    /// Visible share of every part of the lights, at a cell.
     pub fn visibility(&self, cell: u32) -> &[f32] {
-        let lights = self.visibility.len() / self.means.len().max(1);
-        &self.visibility[cell as usize * lights..(cell as usize + 1) * lights]
+        let parts = self.visibility.len() / self.means.len().max(1);
+        &self.visibility[cell as usize * parts..(cell as usize + 1) * parts]
     }
 
     pub fn memory(&self) -> usize {
@@ -133,10 +131,32 @@ impl Cache {
     }
 }
 
+/// Of one part of the lights, as records of one cell have it.
+#[derive(Debug, Clone, Copy, Default)]
+struct Seen {
+    count: f32,
+    visible: f32,
+    unshadowed: f32,
+}
+
+impl Seen {
+    fn add(&mut self, light: &LightRecord) {
+        self.count += 1.0;
+        self.visible += light.visible;
+        self.unshadowed += light.unshadowed;
+    }
+
+    /// `around`: the share of the part around it.
+    fn share(&self, around: f32) -> f32 {
+        let share = if self.unshadowed > 0.0 { self.visible / self.unshadowed } else { around };
+        let mean = (self.count * share + VISIBILITY_PRIOR * around) / (self.count + VISIBILITY_PRIOR);
+        mean.clamp(LEAST_VISIBLE, 1.0)
+    }
+}
+
 impl Sums {
     fn add(&mut self, record: &Record) {
         let area = f64::from(record.area);
-        self.count += 1;
         self.lit += u32::from(mean(record.irradiance) > 0.0);
         self.area += area;
         self.p += record.p.as_dvec3() * area;
@@ -170,7 +190,7 @@ mod tests {
         let up = [0.2, 0.4].map(|x| record(Vec3::new(x, 0.1, 0.1), Vec3::Z, 1.0));
         let folded = [Vec3::X, Vec3::new(0.8, 0.0, 0.6)].map(|n| record(Vec3::splat(5.5), n, 0.0));
         let records: Vec<Record> = up.into_iter().chain(folded).collect();
-        let cache = Cache::build(1.0, &records, 2, 2);
+        let cache = Cache::build(1.0, &records, 2, &Parts::single(2));
         assert_eq!(cache.means.len(), 2);
         let cell = cache.means[0];
         assert_eq!((cell.area, cell.irradiance, cell.lit, cell.normal), (1.0, Rgb::ONE, true, Vec3::Z));

@@ -2,19 +2,19 @@
 //! one voxel are two cells.
 
 use glam::Vec3;
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 /// A sparse grid over one boundary, in its walk space.
 #[derive(Debug, Clone, Default)]
 pub struct Cells {
     /// Edge of a voxel, stage units.
     pub size: f32,
-    index: HashMap<[i16; 4], u32>,
+    index: FxHashMap<[i16; 4], u32>,
 }
 
 impl Cells {
     pub fn new(size: f32) -> Self {
-        Self { size, index: HashMap::new() }
+        Self { size, index: FxHashMap::default() }
     }
 
     pub fn len(&self) -> usize {

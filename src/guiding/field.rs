@@ -9,6 +9,7 @@ use super::plan::Walk;
 use super::receivers::Receivers;
 use super::statistics::{ControlSums, Sums};
 use super::weights::Profile;
+use crate::light::Parts;
 use crate::medium::Medium;
 use crate::subsurface::technique::Techniques;
 use glam::{Vec2, Vec3};
@@ -52,7 +53,6 @@ pub struct FieldSettings {
     /// Share of classical walks at the start.
     pub classical: f32,
     pub guided_first: bool,
-    pub lights: usize,
     pub guide_exits: bool,
 }
 
@@ -63,19 +63,21 @@ const FADE: f64 = 0.5;
 const FADE_CONTROLS: f64 = 0.8;
 
 impl Field {
-    pub fn build(records: &[Record], medium: &Medium, settings: FieldSettings) -> Self {
-        let build = |size: f32| {
-            let mut cache = Cache::build(size, records, settings.least_lit, settings.lights);
+    /// `parts`: of the lights, if it is learned which of them exits see.
+    pub fn build(records: &[Record], medium: &Medium, parts: &Parts, settings: FieldSettings) -> Self {
+        let build = |size: f32, parts: &Parts| {
+            let mut cache = Cache::build(size, records, settings.least_lit, parts);
             if settings.uniform_area {
                 cache.means.iter_mut().for_each(|cell| cell.area = size * size);
             }
             cache
         };
-        let cache = build(settings.cell);
+        let cache = build(settings.cell, parts);
         let bill = settings.walk == Walk::Bill;
         let cells = cache.means.len();
         let conditional = matches!(settings.walk, Walk::Bono | Walk::Bill) && !settings.exact;
-        let sources = Sources::new(records, build, settings.cell, Profile::new(medium), bill);
+        let sources =
+            Sources::new(records, |size| build(size, &Parts::default()), settings.cell, Profile::new(medium), bill);
         Self {
             exits: settings.guide_exits.then(|| Exits::new(&sources.cache, records)),
             sources,

@@ -121,7 +121,8 @@ pub fn explain(scene: &Scene, settings: &RenderSettings) -> Vec<Explanation> {
     let exact = count(&|plan| plan.needs_cache() && plan.exact);
     let mixtures = count(&|plan| plan.walk == Walk::Mixture && plan.exact);
     let lights = ExitLights::of(scene, settings);
-    let line = |capability, on, why| Explanation { capability, on, why };
+    let line = Explanation::new;
+    let guided = count(&|plan| plan.walk != Walk::Classical);
     let by_lights = lights == ExitLights::Learned && !plans.is_empty();
     let media = |n: usize| if n == 1 { "1 medium".to_owned() } else { format!("{n} media") };
     let cache = format!(
@@ -133,18 +134,26 @@ pub fn explain(scene: &Scene, settings: &RenderSettings) -> Vec<Explanation> {
         }
     );
     vec![
-        line("boundary cache", cached > 0 || by_lights, cache),
+        line("guided walks", guided > 0, format!("in {}", media(guided)), "no walk follows a slab normal"),
+        line("boundary cache", cached > 0 || by_lights, cache, "no walk and no exit asks it"),
         line(
             "learned shares",
             settings.learn_shares && mixtures > 0,
             format!("walks in {} move the shares of their techniques between passes", media(mixtures)),
+            "no walks of the mixture with exact weights, or learnShares=false",
         ),
         line(
             "control variates",
             settings.control_variates && exact > 0,
             format!("densities of the techniques in {}, fitted between passes", media(exact)),
+            "no walks with exact weights from a boundary cache, or controlVariates=false",
         ),
-        line("exit lights", !plans.is_empty(), lights.explain(scene.lights.len(), &settings.exit_lights)),
+        line(
+            "exit lights",
+            !plans.is_empty(),
+            lights.explain(scene.lights.len(), &settings.exit_lights),
+            "nothing comes out of a medium",
+        ),
     ]
 }
 
@@ -153,7 +162,7 @@ impl ExitLights {
         let how = match self {
             Self::One => "one",
             Self::All => "all",
-            Self::Learned => "learned: one, by the share of each light that its region saw",
+            Self::Learned => "learned: four, by the share of each light, or cluster of lights, that its region saw",
         };
         match asked {
             "auto" => format!("{how}; {lights} lights, and up to {} are all sampled", super::FEW_LIGHTS),

@@ -36,14 +36,14 @@ use statistics::{RegionId, Statistics};
 pub enum ExitLights {
     One,
     All,
-    /// One, by the visible shares that its region learned.
+    /// Some, by the visible shares that its region learned.
     Learned,
 }
 
 /// Most lights that are all sampled at an exit: each costs a shadow ray (mixture_3d.md section 5).
 const FEW_LIGHTS: usize = 8;
 
-/// Light samples at an exit, shared by the lights where all are sampled: a shadow ray costs a tenth of the path that
+/// Light samples at an exit, shared by the lights where all are sampled, drawn where they are learned: a shadow ray costs a tenth of the path that
 /// led there.
 const EXIT_SAMPLES: u32 = 4;
 
@@ -66,8 +66,8 @@ pub struct Guide {
     pub plans: Vec<Option<Plan>>,
     /// By surface.
     media: Vec<Option<GuidedMedium>>,
-    /// By instance; `None`: nothing to know about its boundary.
-    pub fields: Vec<Option<Field>>,
+    /// By instance; `None`: nothing to know about its boundary. Boxed: of a million instances few have one.
+    pub fields: Vec<Option<Box<Field>>>,
     pub exit_lights: ExitLights,
     /// Samples of each light where all are sampled at an exit.
     light_samples: u32,
@@ -114,6 +114,11 @@ impl Guide {
         Some((self.plans[surface as usize].as_ref()?, self.media[surface as usize].as_ref()?))
     }
 
+    /// Whether what light reaches a boundary with this plan has to be known.
+    pub fn must_know(&self, plan: &Plan) -> bool {
+        plan.needs_cache() || self.exit_lights == ExitLights::Learned
+    }
+
     /// Share of classical walks that a field starts with.
     pub fn start_fraction(&self, mixture: bool) -> f32 {
         if mixture { self.classical.max(normals::CLASSICAL_START) } else { self.classical }
@@ -152,7 +157,7 @@ impl Guide {
         match self.exit_lights {
             ExitLights::One => LightsAt::One,
             ExitLights::All => LightsAt::All,
-            ExitLights::Learned => self.region(instance, p, n).map_or(LightsAt::One, LightsAt::Region),
+            ExitLights::Learned => self.region(instance, p, n).map_or(LightsAt::Some, LightsAt::Region),
         }
     }
 
@@ -168,26 +173,33 @@ impl Guide {
         self.fields[cell.instance as usize].as_ref()?.exits.as_ref()?.at(cell.region)
     }
 
-    /// The lights of the first surface behind a pixel: what is seen directly deserves them all where they are few.
+    /// The lights of the first surface behind a pixel: what is seen directly deserves them all where they are few, and some of
+    /// many.
     pub fn first_hit_choice(&self) -> LightsAt {
-        if self.exit_lights == ExitLights::All { LightsAt::Each } else { LightsAt::One }
+        match self.exit_lights {
+            ExitLights::One => LightsAt::One,
+            ExitLights::All => LightsAt::Each,
+            ExitLights::Learned => LightsAt::Some,
+        }
     }
 
     /// The choice that `exit_choice` stands for.
     pub fn choice(&self, at: LightsAt) -> Choice<'_> {
         match at {
-            LightsAt::One => Choice::One,
+            LightsAt::One => Choice::ONE,
+            LightsAt::Some => Choice::Drawn { count: EXIT_SAMPLES, shares: &[] },
             LightsAt::All => Choice::All(self.light_samples),
             LightsAt::Each => Choice::All(1),
-            LightsAt::Region(at) => self.fields[at.instance as usize]
-                .as_ref()
-                .map_or(Choice::One, |field| Choice::Weighted(field.cache.visibility(at.region))),
+            LightsAt::Region(at) => {
+                let field = self.fields[at.instance as usize].as_ref();
+                Choice::Drawn { count: EXIT_SAMPLES, shares: field.map_or(&[], |f| f.cache.visibility(at.region)) }
+            }
         }
     }
 
     /// Whether walks have anything to teach.
     pub fn learns(&self) -> bool {
-        self.fields.iter().flatten().any(Field::learns)
+        self.fields.iter().flatten().any(|field| field.learns())
     }
 
     /// Takes in the statistics of a pass.
@@ -208,11 +220,11 @@ impl Guide {
 
     /// Regions of all fields, and those of them that are lit.
     pub fn counts(&self) -> [usize; 2] {
-        self.fields.iter().flatten().map(Field::counts).fold([0, 0], |a, b| [a[0] + b[0], a[1] + b[1]])
+        self.fields.iter().flatten().map(|field| field.counts()).fold([0, 0], |a, b| [a[0] + b[0], a[1] + b[1]])
     }
 
     pub fn memory(&self) -> usize {
-        self.fields.iter().flatten().map(Field::memory).sum()
+        self.fields.iter().flatten().map(|field| field.memory()).sum()
     }
 }
 
@@ -220,6 +232,8 @@ impl Guide {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum LightsAt {
     One,
+    /// As many, drawn, as an exit deserves.
+    Some,
     /// Each once.
     Each,
     /// Each as often as an exit deserves.

@@ -21,17 +21,25 @@ const R2: Vec2 = Vec2::new(0.754_877_7, 0.569_840_3);
 const MAX_LAYERS: u32 = 256;
 
 impl Path<'_> {
-    /// Adds the light shapes crossed before `t_max`. They occlude nothing, so all of them count.
+    /// Adds the light shapes crossed before `t_max`.
     pub(super) fn meet_light_shapes(&mut self, t_max: f32) {
+        self.meet_light_shapes_along(self.o, self.d, t_max, self.inside);
+    }
+
+    /// Adds the light shapes crossed along (o, d) before `t_max`, amid the objects `inside`. They occlude nothing, so all
+    /// of them count.
+    pub(super) fn meet_light_shapes_along(&mut self, o: Vec3, d: Vec3, t_max: f32, inside: Nest) {
         let scene = self.scene;
-        let (o, d) = (self.o, self.d);
         scene.light_shapes(o, d, t_max, |light, hit| {
+            let radiance = scene.lights.radiance_hit(light, d, hit);
+            if radiance == Rgb::ZERO {
+                return;
+            }
             let weight = self.light_weight(
                 |p, n, choice| scene.lights.pdf_hit(light, p, n, choice, d, &seen_from(p, o, d, hit)),
                 light,
             );
-            let radiance = scene.lights.radiance_hit(light, d, hit);
-            self.see_light(weight * self.inside.transmittance(hit.t) * radiance);
+            self.see_light(weight * inside.transmittance(hit.t) * radiance);
         });
     }
 
@@ -39,8 +47,12 @@ impl Path<'_> {
         let scene = self.scene;
         let d = self.d;
         for &light in scene.lights.infinite() {
+            let radiance = scene.lights.escaped(light, d);
+            if radiance == Rgb::ZERO {
+                continue;
+            }
             let weight = self.light_weight(|p, n, choice| scene.lights.pdf_escaped(light, p, n, choice, d), light);
-            self.see_light(weight * self.inside.transmittance(f32::INFINITY) * scene.lights.escaped(light, d));
+            self.see_light(weight * self.inside.transmittance(f32::INFINITY) * radiance);
         }
     }
 
@@ -109,16 +121,24 @@ impl Path<'_> {
             return;
         }
         let (all, choice) = (&self.scene.lights, self.guide.choice(lights));
-        let Choice::All(count) = choice else {
-            self.add_light(si, bsdf, guide, all.sample(si.p, Some(si.ng), choice, u_choice, u));
-            return;
-        };
-        for light in 0..all.len() as u32 {
-            // A sample's points on the light are a lattice (Roberts' R2), shifted by its stratified first.
-            let first = if light == 0 { u } else { sampler.next_2d() };
+        let (count, n) = (choice.count(), Some(si.ng));
+        // A sample's points on a light are a lattice (Roberts' R2), shifted by its stratified first.
+        let lattice = |first: Vec2, i: u32| (first + i as f32 * R2).fract();
+        if let Choice::Drawn { .. } = choice {
             for i in 0..count {
-                let u = (first + i as f32 * R2).fract();
-                let sample = all.sample_light(light, si.p, Some(si.ng), u);
+                // Strata of the choice: neighbours in the tree are neighbours in space.
+                let u_choice = (u_choice + i as f32) / count as f32;
+                self.add_light(si, bsdf, guide, all.sample(si.p, n, choice, u_choice, lattice(u, i)));
+            }
+            return;
+        }
+        for light in 0..all.len() as u32 {
+            let first = if light == 0 { u } else { sampler.next_2d() };
+            if !all.reaches(light, si.p, n) {
+                continue;
+            }
+            for i in 0..count {
+                let sample = all.sample_light(light, si.p, n, lattice(first, i));
                 let counted = sample.map(|sample| LightSample { pdf: sample.pdf * count as f32, ..sample });
                 self.add_light(si, bsdf, guide, counted);
             }
@@ -166,15 +186,29 @@ pub(super) struct CollisionLight<'a> {
 }
 
 impl CollisionLight<'_> {
-    /// `p`: the collision in render space.
-    pub(super) fn add(&self, collision: &Collision, p: Vec3, u_choice: f32, u: Vec2, sample: &mut crate::film::Sample) {
-        let Some(light) = self.scene.lights.sample(p, None, Choice::One, u_choice, u) else { return };
+    /// `p`: the collision in render space. Whether a shadow ray was cast.
+    pub(super) fn add(
+        &self,
+        collision: &Collision,
+        p: Vec3,
+        u_choice: f32,
+        u: Vec2,
+        sample: &mut crate::film::Sample,
+    ) -> bool {
+        let light = self.scene.lights.sample(p, None, Choice::ONE, u_choice, u);
+        let Some(light) = light.filter(|light| light.radiance != Rgb::ZERO) else { return false };
         let (phase, pdf) = (collision.scatter)(light.wi);
+        if phase <= 0.0 {
+            return false;
+        }
         let hit = self.scene.boundary_from_within(self.instance, collision.p, light.wi, light.reach());
         let visible = transmittance_beyond(self.scene, hit, light.wi, light.reach(), self.inside);
-        let weight = if light.delta { 1.0 } else { power_heuristic(light.pdf, pdf) };
+        // Walks meet no lights before the boundary: those within the medium are ours alone.
+        let ours = light.delta || hit.is_none() && light.distance.is_finite();
+        let weight = if ours { 1.0 } else { power_heuristic(light.pdf, pdf) };
         let light = phase * visible * light.radiance * (weight / light.pdf);
         add_to(sample, self.bucket, self.scale * collision.weight * light);
+        true
     }
 }
 

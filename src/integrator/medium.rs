@@ -14,7 +14,7 @@ use crate::math::Rgb;
 use crate::sampling::sampler::Sampler;
 use crate::scene::{BoundaryHit, InstanceEnclosure, SurfaceHit};
 use crate::subsurface::mixture::{Visitor, walk_mixture};
-use crate::subsurface::steps::{Start, WalkEnd};
+use crate::subsurface::steps::{Enclosure, Start, WalkEnd};
 use crate::subsurface::technique::GuidedMedium;
 use crate::subsurface::walk::{Along, Collision, walk};
 use glam::{Vec2, Vec3};
@@ -50,6 +50,9 @@ impl<'a> Path<'a> {
         let mut passage = Passage { enclosure, instance: si.instance, boundary, plan, medium, first: self.depth == 0 };
         let entry = BoundaryHit::of(hit);
         let p = passage.enclosure.point(&entry);
+        if boundary == Boundary::IndexMatched && scene.has_light_shapes() {
+            self.meet_lights_within(&passage, p, wi, entry);
+        }
         let mut start = Start { p, d: wi, normal: si.ng, hit: entry, weight: Rgb::ONE };
         loop {
             let (at, d) = self.sub_walk(&passage, start, sampler)?;
@@ -73,6 +76,15 @@ impl<'a> Path<'a> {
                 }
             }
         }
+    }
+
+    /// Light shapes inside a matched medium, as seen from the entry at `p` along `d`, by what passes without a collision:
+    /// exactly, where the walk would have to get that far. After collisions next-event estimation has them alone.
+    fn meet_lights_within(&mut self, passage: &Passage, p: Vec3, d: Vec3, entry: BoundaryHit) {
+        let object = Inside { instance: passage.instance, medium: Some(passage.medium.medium) };
+        let Some(inside) = self.inside.entered(object) else { return };
+        let t_max = passage.enclosure.cast(p, d, f32::INFINITY, Some(entry)).map_or(f32::INFINITY, |(t, _)| t);
+        self.meet_light_shapes_along(passage.enclosure.to_render(p), d, t_max, inside);
     }
 
     /// One walk to the next boundary point: where, and in which direction it arrives.
@@ -185,7 +197,7 @@ impl<'a> Path<'a> {
                 enclosure.closest_point(p).and_then(|to| away(p, to))
             } else {
                 let u = Vec2::new(sampler.random(), sampler.random());
-                let choice = crate::light::Choice::One;
+                let choice = crate::light::Choice::ONE;
                 scene.lights.sample(enclosure.to_render(p), None, choice, sampler.random(), u).map(|light| light.wi)
             };
             followed
@@ -193,9 +205,9 @@ impl<'a> Path<'a> {
         let (sample, shadow_rays) = (&mut self.sample, &mut self.stats.shadow_rays);
         let collide = |collision: &Collision, sampler: &mut Sampler| {
             if let Some(light) = &light {
-                *shadow_rays += 1;
                 let u = Vec2::new(sampler.random(), sampler.random());
-                light.add(collision, enclosure.to_render(collision.p), sampler.random(), u, sample);
+                let cast = light.add(collision, enclosure.to_render(collision.p), sampler.random(), u, sample);
+                *shadow_rays += u64::from(cast);
             }
         };
         let medium = &passage.medium.medium;
@@ -296,9 +308,8 @@ impl<const LIT: bool> Visitor for Collisions<'_, LIT> {
 
     fn collide(&mut self, collision: &Collision, sampler: &mut Sampler) {
         let Some(light) = &self.light else { return };
-        self.shadow_rays += 1;
         let u = Vec2::new(sampler.random(), sampler.random());
         let p = self.passage.enclosure.to_render(collision.p);
-        light.add(collision, p, sampler.random(), u, self.sample);
+        self.shadow_rays += u64::from(light.add(collision, p, sampler.random(), u, self.sample));
     }
 }

@@ -17,35 +17,40 @@ pub(super) struct Inside {
 /// Objects around a path, outermost first. The innermost decides the medium: overlaps have no priorities.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Nest {
-    objects: [Option<Inside>; DEPTH],
+    objects: [Inside; DEPTH],
+    /// Of the places, those that are taken; a path outside looks at no other.
+    count: usize,
 }
 
 impl Nest {
-    pub const OUTSIDE: Self = Self { objects: [None; DEPTH] };
+    pub const OUTSIDE: Self = Self { objects: [Inside { instance: u32::MAX, medium: None }; DEPTH], count: 0 };
+
+    fn around(&self) -> &[Inside] {
+        &self.objects[..self.count]
+    }
 
     pub fn contains(&self, instance: u32) -> bool {
-        self.objects.iter().flatten().any(|object| object.instance == instance)
+        self.around().iter().any(|object| object.instance == instance)
     }
 
     /// With one more object around; `None` where there is no room left.
     pub fn entered(mut self, object: Inside) -> Option<Self> {
-        *self.objects.iter_mut().find(|place| place.is_none())? = Some(object);
+        *self.objects.get_mut(self.count)? = object;
+        self.count += 1;
         Some(self)
     }
 
     /// Without the innermost entry of `instance`.
-    pub fn left(self, instance: u32) -> Self {
-        let Some(at) = self.objects.iter().rposition(|o| o.is_some_and(|o| o.instance == instance)) else {
-            return self;
-        };
-        let mut rest = Self::OUTSIDE;
-        let kept = self.objects.iter().enumerate().filter(|(i, _)| *i != at);
-        rest.objects.iter_mut().zip(kept).for_each(|(place, (_, object))| *place = *object);
-        rest
+    pub fn left(mut self, instance: u32) -> Self {
+        if let Some(at) = self.around().iter().rposition(|object| object.instance == instance) {
+            self.objects.copy_within(at + 1..self.count, at);
+            self.count -= 1;
+        }
+        self
     }
 
     pub fn medium(&self) -> Option<Medium> {
-        self.objects.iter().flatten().last().and_then(|object| object.medium)
+        self.around().last().and_then(|object| object.medium)
     }
 
     /// Absorption over `t` stage units of what the path is in.
@@ -64,7 +69,7 @@ mod tests {
         let three = [1, 2, 3].into_iter().try_fold(Nest::OUTSIDE, |nest, i| nest.entered(object(i))).expect("room");
         let two = three.left(2).left(7);
         assert!(two.contains(1) && two.contains(3) && !two.contains(2));
-        assert_eq!(two.objects.iter().flatten().map(|o| o.instance).collect::<Vec<_>>(), [1, 3]);
+        assert_eq!(two.around().iter().map(|o| o.instance).collect::<Vec<_>>(), [1, 3]);
         assert!((4..20).try_fold(three, |nest, i| nest.entered(object(i))).is_none());
     }
 }

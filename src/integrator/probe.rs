@@ -54,7 +54,9 @@ pub fn probe(
         let sample = if lights <= LIGHTS {
             scene.lights.sample_light(i as u32, si.p, Some(n), u)
         } else {
-            scene.lights.sample(si.p, Some(n), Choice::One, sampler.random(), u)
+            // One from each stratum of the choice.
+            let u_choice = (i as f32 + sampler.random()) / LIGHTS as f32;
+            scene.lights.sample(si.p, Some(n), Choice::ONE, u_choice, u)
         };
         let Some(light) = sample.filter(|light| light.wi.dot(n) > 0.0 && light.pdf > 0.0) else { continue };
         let share = if lights <= LIGHTS { 1.0 } else { 1.0 / LIGHTS as f32 };

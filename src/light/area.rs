@@ -1,14 +1,16 @@
 //! A shape that emits.
 
 use super::{
+    bound::Bound,
     choice::{Spread, facing},
     emission::Emission,
     rect::Rect,
     shape::{Shape, ShapeHit},
     texels::Texels,
 };
-use crate::math::{FRAC_1_PI, Rgb};
+use crate::math::{FRAC_1_PI, PI, Rgb};
 use glam::Vec3;
+use std::f32::consts::FRAC_PI_2;
 
 #[derive(Debug, Clone)]
 pub struct AreaLight {
@@ -26,10 +28,11 @@ impl AreaLight {
     pub fn new(shape: Shape, emission: Emission, texture: Option<Texels>) -> Self {
         let (min, max) = shape.bounds();
         let brightness = texture.as_ref().map_or(1.0, |t| t.average() as f32);
+        let center = 0.5 * (min + max);
         // Rounding must not leave an emitting point outside its bound.
-        let radius = shape.radius() * 1.001;
+        let radius = shape.radius() * 1.001 + 4.0 * f32::EPSILON * center.abs().max_element();
         let projected_area = shape.projected_area();
-        Self { shape, emission, texture, brightness, center: 0.5 * (min + max), radius, projected_area }
+        Self { shape, emission, texture, brightness, center, radius, projected_area }
     }
 
     /// Whether it emits at all.
@@ -49,6 +52,22 @@ impl AreaLight {
         self.emission.towards(-wi) * texture
     }
 
+    /// For a cluster of lights.
+    pub fn bound(&self) -> Bound {
+        let (min, max) = self.shape.bounds();
+        let (axis, spread, falloff) = match (self.emission.cutoff(), self.shape.normals()) {
+            // Within a narrow cone the cosine hardly changes.
+            (Some(cutoff), _) if cutoff < FRAC_PI_2 => (self.emission.axis, cutoff, 0.0),
+            (_, Some((axis, spread))) => (axis, spread, FRAC_PI_2),
+            (_, None) => (self.emission.axis, PI, FRAC_PI_2),
+        };
+        // Products of f32 extremes neither vanish nor overflow.
+        let intensity = f64::from(self.emission.bound(self.emission.axis, &Spread::of_angle(PI)))
+            * f64::from(self.brightness)
+            * f64::from(self.projected_area);
+        Bound { min, max, axis, spread, falloff, intensity }
+    }
+
     /// Estimated irradiance at p without shadows; positive wherever light may arrive. The bounds of the
     /// cosines and of the shaping over the bounding sphere are those of Conty Estevez and Kulla 2018,
     /// "Importance Sampling of Many Lights with Adaptive Tree Splitting", section 4.
@@ -57,11 +76,13 @@ impl AreaLight {
             return 0.0;
         }
         let to = self.center - p;
-        let (d2, wi) = (to.length_squared(), to.normalize_or_zero());
+        let d2 = to.length_squared();
+        // At the centre itself the spread is everything, whatever wi.
+        let wi = to * d2.max(f32::MIN_POSITIVE).sqrt().recip();
         let spread = Spread::of_ball(self.radius, d2);
         let cos_light = self.shape.common_normal().map_or(1.0, |normal| facing(-normal, wi, &spread));
         let cos_receiver = n.map_or(1.0, |n| facing(n, wi, &spread));
-        let radiance = self.emission.bound(-wi, spread.angle()) * self.brightness;
+        let radiance = self.emission.bound(-wi, &spread) * self.brightness;
         // Saturates at pi L, the most a surface can receive.
         let solid_angle = self.projected_area / (d2 + self.projected_area * FRAC_1_PI);
         radiance * cos_light * cos_receiver * solid_angle

@@ -1,83 +1,182 @@
 //! Which light to sample: proportional to an estimate of what each would give without shadows.
 //!
-//! Two passes over the lights, sum and choice, so that nothing is stored and the order of the random number
-//! (its stratification) is kept. Sampling and pdf share the weights and the order of their sum.
+//! Few lights are weighed one by one, in two passes, sum and choice, so that nothing is stored and the order of the random
+//! number (its stratification) is kept. Of many, the area lights are in a [`super::tree::Tree`], beside which domes and
+//! distant lights are weighed one by one. Sampling and pdf share the weights and the order of their sum.
 
-use super::Lights;
+use super::{
+    Lights,
+    tree::{Receiver, Tree},
+};
 use crate::math::PI;
 use glam::Vec3;
 
 /// How a receiver's lights are sampled.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Choice<'a> {
-    /// One, by its unshadowed contribution.
-    One,
     /// Each, as many times.
     All(u32),
-    /// One, by its unshadowed contribution times a factor per light: the share that is visible.
-    Weighted(&'a [f32]),
+    /// As many, each by its unshadowed contribution times the visible share of its parts ([`Parts`]); none: all of it.
+    Drawn { count: u32, shares: &'a [f32] },
 }
 
 impl Choice<'_> {
-    fn factor(&self, light: usize) -> f32 {
-        match self {
-            Choice::One | Choice::All(_) => 1.0,
-            Choice::Weighted(factors) => factors[light],
+    pub const ONE: Choice<'static> = Choice::Drawn { count: 1, shares: &[] };
+
+    /// Samples, of each light or in all.
+    pub fn count(&self) -> u32 {
+        match *self {
+            Choice::All(count) | Choice::Drawn { count, .. } => count,
         }
+    }
+
+    fn shares(&self) -> &[f32] {
+        match self {
+            Choice::All(_) => &[],
+            Choice::Drawn { shares, .. } => shares,
+        }
+    }
+}
+
+/// What visible shares are learned of: each light where they are few; of many, those that are in no tree, and the tree's first
+/// nodes.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Parts {
+    /// The part that each lies in, which comes before it.
+    pub parents: Vec<Option<u32>>,
+    /// The smallest part of each light.
+    pub of_light: Vec<u32>,
+}
+
+impl Parts {
+    pub fn len(&self) -> usize {
+        self.parents.len()
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.parents.is_empty()
+    }
+
+    /// Each of `lights` by itself.
+    pub fn single(lights: usize) -> Self {
+        Self { parents: vec![None; lights], of_light: (0..lights as u32).collect() }
+    }
+
+    /// All parts that hold `light`, from the smallest on.
+    pub fn holding(&self, light: u32) -> impl Iterator<Item = usize> {
+        let smallest = self.of_light[light as usize];
+        std::iter::successors(Some(smallest), |&part| self.parents[part as usize]).map(|part| part as usize)
     }
 }
 
 impl Lights {
-    /// A light and the probability it was chosen with; `None` where no light can reach p.
+    pub fn parts(&self) -> Parts {
+        let Some(tree) = &self.tree else { return Parts::single(self.len()) };
+        let mut parts = Parts { parents: vec![None; self.beside.len()], of_light: vec![0; self.len()] };
+        for (part, &light) in self.beside.iter().enumerate() {
+            parts.of_light[light as usize] = part as u32;
+        }
+        tree.add_parts(&mut parts);
+        parts
+    }
+
+    /// A light and the probability it was chosen with; `None` where no light can reach p, or none of the cluster that was
+    /// chosen.
     pub(super) fn choose(&self, p: Vec3, n: Option<Vec3>, choice: Choice, u: f32) -> Option<(u32, f32)> {
-        let sum: f64 = self.weights(p, n, choice).map(|(_, weight)| weight).sum();
-        let mut left = f64::from(u) * sum;
-        // Rounding may leave a remainder beyond the last weight: it is the last light's.
-        let mut chosen = None;
-        for (light, weight) in self.weights(p, n, choice) {
-            chosen = Some((light, (weight / sum) as f32));
-            left -= weight;
-            if left < 0.0 {
-                break;
+        let (u, shares) = (f64::from(u), choice.shares());
+        let beside = self.weigh(p, n, shares);
+        let Some((tree, in_tree)) = self.weigh_tree(p, n, shares) else {
+            let (light, probability, _) = pick(beside, 0.0, u)?;
+            return Some((light?, probability as f32));
+        };
+        match pick(beside, in_tree, u)? {
+            (Some(light), probability, _) => Some((light, probability as f32)),
+            (None, probability, u) => {
+                let (light, within) = tree.descend(&self.receiver(p, n, shares), u)?;
+                Some((light, (probability * within) as f32))
             }
         }
-        chosen
     }
 
-    /// Probability with which `light` is sampled at p, or how many times.
+    /// Expected number of samples of `light` at p.
     pub fn choice_probability(&self, light: u32, p: Vec3, n: Option<Vec3>, choice: Choice) -> f32 {
-        if let Choice::All(count) = choice {
-            return count as f32;
-        }
-        let (mut sum, mut own) = (0.0, 0.0);
-        for (i, weight) in self.weights(p, n, choice) {
-            sum += weight;
-            if i == light {
-                own = weight;
+        let Choice::Drawn { count, shares } = choice else { return choice.count() as f32 };
+        let own = if self.weight(light, p, n) > 0.0 { Some(light) } else { return 0.0 };
+        let probability = match self.weigh_tree(p, n, shares) {
+            None => share(self.weigh(p, n, shares), 0.0, own),
+            Some((tree, in_tree)) if tree.contains(light) => {
+                share(self.weigh(p, n, shares), in_tree, None) * tree.probability(light, &self.receiver(p, n, shares))
             }
-        }
-        if own > 0.0 { (own / sum) as f32 } else { 0.0 }
+            Some((_, in_tree)) => share(self.weigh(p, n, shares), in_tree, own),
+        };
+        (f64::from(count) * probability) as f32
     }
 
-    /// The lights of positive weight, in a fixed order.
-    fn weights(&self, p: Vec3, n: Option<Vec3>, choice: Choice) -> impl Iterator<Item = (u32, f64)> {
-        self.lights.iter().enumerate().filter_map(move |(i, light)| {
-            // An overflowing estimate still takes part, as the largest number.
-            let weight = f64::from(light.importance(p, n).min(f32::MAX)) * f64::from(choice.factor(i));
-            (weight > 0.0).then_some((i as u32, weight))
+    /// The tree and what it weighs as a whole.
+    fn weigh_tree(&self, p: Vec3, n: Option<Vec3>, shares: &[f32]) -> Option<(&Tree, f64)> {
+        let tree = self.tree.as_ref()?;
+        // Against nothing it may weigh anything.
+        let importance = if self.beside.is_empty() { 1.0 } else { tree.importance(p, n) };
+        Some((tree, importance * f64::from(shares.get(self.beside.len()).copied().unwrap_or(1.0))))
+    }
+
+    fn receiver<'a>(&'a self, p: Vec3, n: Option<Vec3>, shares: &'a [f32]) -> Receiver<'a, impl Fn(u32) -> f64> {
+        let shares = shares.get(self.beside.len()..).unwrap_or(&[]);
+        Receiver { p, n, shares, weight: move |light| self.weight(light, p, n) }
+    }
+
+    fn weight(&self, light: u32, p: Vec3, n: Option<Vec3>) -> f64 {
+        // An overflowing estimate still takes part, as the largest number.
+        f64::from(self.lights[light as usize].importance(p, n).min(f32::MAX))
+    }
+
+    /// Those of the lights beside the tree that have weight, in order. `shares`: visible, by place; without them 1.
+    fn weigh(&self, p: Vec3, n: Option<Vec3>, shares: &[f32]) -> impl Iterator<Item = (u32, f64)> + Clone {
+        self.beside.iter().enumerate().filter_map(move |(place, &light)| {
+            let weight = self.weight(light, p, n) * f64::from(shares.get(place).copied().unwrap_or(1.0));
+            (weight > 0.0).then_some((light, weight))
         })
     }
+}
+
+/// One of `weights`, or `None` for the `rest`, with its probability and `u` remapped; nothing where nothing has weight.
+fn pick(weights: impl Iterator<Item = (u32, f64)> + Clone, rest: f64, u: f64) -> Option<(Option<u32>, f64, f64)> {
+    let sum: f64 = weights.clone().map(|(_, weight)| weight).sum::<f64>() + rest;
+    let mut left = u * sum;
+    // Rounding may leave a remainder beyond the last weight: it is the last light's.
+    let mut last = None;
+    for (light, weight) in weights {
+        last = Some((Some(light), weight / sum, 1.0));
+        if left < weight {
+            return Some((Some(light), weight / sum, left / weight));
+        }
+        left -= weight;
+    }
+    if rest > 0.0 { Some((None, rest / sum, (left / rest).min(1.0))) } else { last }
+}
+
+/// Probability with which [`pick`] gives `light`, or the rest.
+fn share(weights: impl Iterator<Item = (u32, f64)>, rest: f64, light: Option<u32>) -> f64 {
+    let (mut sum, mut own) = (0.0, if light.is_none() { rest } else { 0.0 });
+    for (i, weight) in weights {
+        sum += weight;
+        if Some(i) == light {
+            own = weight;
+        }
+    }
+    if own > 0.0 { own / (sum + rest) } else { 0.0 }
 }
 
 /// Half angle under which a light is seen, as sine and cosine.
 #[derive(Debug, Clone, Copy)]
 pub struct Spread {
-    sin: f32,
-    cos: f32,
+    pub sin: f32,
+    pub cos: f32,
 }
 
 impl Spread {
     /// Of a ball at squared distance `d2`; every direction from within it.
+    #[inline]
     pub fn of_ball(radius: f32, d2: f32) -> Self {
         let sin2 = radius * radius / d2;
         if sin2 < 1.0 { Self { sin: sin2.sqrt(), cos: (1.0 - sin2).sqrt() } } else { Self { sin: 0.0, cos: -1.0 } }
@@ -91,9 +190,18 @@ impl Spread {
     pub fn angle(&self) -> f32 {
         if self.cos <= -1.0 { PI } else { self.sin.atan2(self.cos) }
     }
+
+    /// Whether it is every direction.
+    pub fn is_all(&self) -> bool {
+        self.cos <= -1.0
+    }
 }
 
-/// Largest max(0, n . w) over directions w within `spread` of `wi`.
+/// What f32 cosines may be off by: a light on the horizon is not to be missed.
+pub const ROUNDING: f32 = 1e-6;
+
+/// Largest max(0, n . w) over directions w within `spread` of `wi`, from above.
+#[inline]
 pub fn facing(n: Vec3, wi: Vec3, spread: &Spread) -> f32 {
     let cos = n.dot(wi);
     if cos >= spread.cos {
@@ -101,5 +209,5 @@ pub fn facing(n: Vec3, wi: Vec3, spread: &Spread) -> f32 {
     }
     let sin = (1.0 - cos * cos).max(0.0).sqrt();
     // cos(theta - spread)
-    (cos * spread.cos + sin * spread.sin).max(0.0)
+    (cos * spread.cos + sin * spread.sin + ROUNDING).max(0.0)
 }

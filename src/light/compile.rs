@@ -1,8 +1,9 @@
 //! From UsdLux attributes to lights; what cannot shine is dropped aloud.
 
 use super::{
-    Light, Lights, area::AreaLight, cylinder::Cylinder, disk::Disk, distant, distant::Distant, dome::Dome,
-    ellipsoid::Ellipsoid, emission::Emission, mesh::TriangleSet, rect::Rect, shape::Shape, texels::Texels,
+    Light, Lights, area::AreaLight, bound::Bound, cylinder::Cylinder, disk::Disk, distant, distant::Distant,
+    dome::Dome, ellipsoid::Ellipsoid, emission::Emission, mesh::TriangleSet, rect::Rect, shape::Shape, texels::Texels,
+    tree::Tree,
 };
 use crate::{
     error::Warning,
@@ -37,7 +38,20 @@ impl Lights {
                 Err(message) => compiler.warn(format!("{message}: light dropped")),
             }
         }
+        compiled.plant();
         compiled
+    }
+
+    /// Sorts the lights into the tree and those beside it.
+    fn plant(&mut self) {
+        let bound = |(i, light): (usize, &Light)| match light {
+            Light::Area(area) => Some((i as u32, area.bound())),
+            Light::Distant(_) | Light::Dome(_) => None,
+        };
+        let bounds: Vec<(u32, Bound)> = self.lights.iter().enumerate().filter_map(bound).collect();
+        self.tree = Tree::build(&bounds, self.lights.len());
+        let beside = |light: &u32| self.tree.as_ref().is_none_or(|tree| !tree.contains(*light));
+        self.beside = (0..self.lights.len() as u32).filter(beside).collect();
     }
 
     fn push(&mut self, path: &str, prim: &flat::Light, light: Light) {

@@ -2,7 +2,10 @@
 //!
 //! `intensity` 1, white, is 1 nit: seen directly it renders as 1.
 
-use super::shaping::{Shaping, angle_between};
+use super::{
+    choice::Spread,
+    shaping::{Shaping, angle_between},
+};
 use crate::{flat, math::Rgb};
 use glam::Vec3;
 
@@ -54,11 +57,16 @@ impl Emission {
         }
     }
 
-    /// Estimate of the radiance, mean of the channels' magnitudes, over the directions within `spread`
-    /// radians of `wo`; positive wherever it is not zero there.
-    pub fn bound(&self, wo: Vec3, spread: f32) -> f32 {
+    /// Angle off the axis beyond which nothing is emitted, radians; `None`: there is no cone.
+    pub fn cutoff(&self) -> Option<f32> {
+        self.shaping.as_ref().map(Shaping::cutoff)
+    }
+
+    /// Estimate of the radiance, mean of the channels' magnitudes, over the directions within `spread` of
+    /// `wo`; positive wherever it is not zero there.
+    pub fn bound(&self, wo: Vec3, spread: &Spread) -> f32 {
         let Some(shaping) = &self.shaping else { return magnitude(self.radiance) };
-        let theta = angle_between(self.axis, wo);
+        let (theta, spread) = (angle_between(self.axis, wo), spread.angle());
         let hi = (theta + spread).min(std::f32::consts::PI);
         magnitude(self.radiance * shaping.bound((theta - spread).max(0.0), hi))
     }

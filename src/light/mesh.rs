@@ -3,7 +3,11 @@
 //! A triangle (a, b, c) emits on the side of (b - a) x (c - a), its outward side: whoever hands the triangles
 //! over has already turned those of left-handed or mirrored meshes.
 
-use super::shape::{ShapeHit, ShapeSample, solid_angle_pdf};
+use super::{
+    bound::join_cones,
+    shape::{ShapeHit, ShapeSample, solid_angle_pdf},
+};
+use crate::math::PI;
 use crate::sampling::distribution::Distribution1D;
 use glam::{Vec2, Vec3};
 
@@ -51,6 +55,12 @@ impl TriangleSet {
     /// Outward, not unit; zero for an index that is not there.
     pub fn normal(&self, triangle: u32) -> Vec3 {
         self.triangles.get(triangle as usize).map_or(Vec3::ZERO, cross)
+    }
+
+    /// A cone that holds the normals of all triangles, as axis and half angle in radians.
+    pub fn normals(&self) -> (Vec3, f32) {
+        let normals = self.triangles.iter().filter_map(|t| cross(t).try_normalize());
+        normals.map(|n| (n, 0.0)).reduce(join_cones).unwrap_or((Vec3::Z, PI))
     }
 
     pub fn bounds(&self) -> (Vec3, Vec3) {

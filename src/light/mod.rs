@@ -1,12 +1,14 @@
 //! Lights: UsdLux' radiometry, sampled.
 //!
 //! `emission` and `shaping` say how bright, `shape` and its variants say where, `area`, `distant` and `dome`
-//! join the two, `choice` picks one light out of many, `compile` makes them from the flattened scene.
+//! join the two, `choice` picks one light out of few, or out of many with the help of a `tree` over their `bound`s, `compile`
+//! makes them from the flattened scene.
 //!
 //! Space is render space: world translated, never rotated. Directions `wi` are unit and point from the
 //! receiver to the light. All pdfs are per solid angle at the receiver.
 
 mod area;
+mod bound;
 mod choice;
 mod compile;
 mod cylinder;
@@ -15,6 +17,7 @@ mod distant;
 mod dome;
 mod ellipsoid;
 mod emission;
+mod latlong;
 mod mesh;
 mod patch;
 mod rect;
@@ -23,9 +26,10 @@ mod shaping;
 #[cfg(test)]
 mod tests;
 mod texels;
+mod tree;
 
 pub use area::AreaLight;
-pub use choice::Choice;
+pub use choice::{Choice, Parts};
 pub use compile::MeshTriangles;
 pub use distant::Distant;
 pub use dome::Dome;
@@ -94,6 +98,9 @@ pub struct Lights {
     camera_visible: Vec<bool>,
     /// Domes and distant lights of positive angle.
     infinite: Vec<u32>,
+    /// Lights that are weighed one by one: all of few, else those that are not in the tree.
+    beside: Vec<u32>,
+    tree: Option<tree::Tree>,
     /// Mesh key to light.
     meshes: BTreeMap<String, u32>,
 }
@@ -121,15 +128,16 @@ impl Lights {
         self.meshes.get(mesh).copied()
     }
 
-    /// A light chosen by its estimated contribution at `p`, and a direction to it. `n` is the normal of a
+    /// A light drawn by its estimated contribution at `p`, and a direction to it. `n` is the normal of a
     /// receiver that takes light from its side only; without it light from all around counts. `None`: this
     /// sample contributes nothing.
     ///
-    /// `choice` is not `All`: of all lights each is asked by [`Self::sample_light`].
+    /// The pdf counts as many samples as `choice` draws. `choice` is not `All`: of all lights each is asked by
+    /// [`Self::sample_light`].
     pub fn sample(&self, p: Vec3, n: Option<Vec3>, choice: Choice, u_choice: f32, u: Vec2) -> Option<LightSample> {
         let (light, chosen) = self.choose(p, n, choice, u_choice)?;
         let mut sample = self.sample_light(light, p, n, u)?;
-        sample.pdf *= chosen;
+        sample.pdf *= chosen * choice.count() as f32;
         (sample.pdf > 0.0 && sample.pdf.is_finite()).then_some(sample)
     }
 
@@ -168,6 +176,11 @@ impl Lights {
     pub fn pdf_hit(&self, light: u32, p: Vec3, n: Option<Vec3>, choice: Choice, wi: Vec3, hit: &ShapeHit) -> f32 {
         let Light::Area(area) = &self.lights[light as usize] else { return 0.0 };
         area.shape.pdf(p, wi, hit) * self.choice_probability(light, p, n, choice)
+    }
+
+    /// Whether `light` may give anything at p.
+    pub fn reaches(&self, light: u32, p: Vec3, n: Option<Vec3>) -> bool {
+        self.lights[light as usize].importance(p, n) > 0.0
     }
 
     /// Radiance that arrives along `wi` from `hit` on an area light; zero from its dark side.

@@ -147,6 +147,14 @@ impl Shape {
         }
     }
 
+    /// A cone that holds all normals, as axis and half angle in radians; `None`: they point everywhere.
+    pub fn normals(&self) -> Option<(Vec3, f32)> {
+        match self {
+            Shape::Mesh(s) => Some(s.normals()),
+            _ => Some((self.common_normal()?, 0.0)),
+        }
+    }
+
     /// Area as seen from afar: face on for planar shapes, a typical side for the others.
     pub fn projected_area(&self) -> f32 {
         let share = match self {

@@ -23,6 +23,11 @@ impl Shaping {
         Self { focus: shaping.focus.max(0.0), focus_tint: shaping.focus_tint.into(), start, cutoff }
     }
 
+    /// Off-axis angle beyond which nothing is emitted, radians.
+    pub fn cutoff(&self) -> f32 {
+        self.cutoff
+    }
+
     /// Factor in the direction `theta` radians off the axis.
     pub fn factor(&self, theta: f32) -> Rgb {
         self.cone(theta) * self.tint(theta.cos().abs())

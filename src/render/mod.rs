@@ -1,5 +1,6 @@
 //! Rendering: passes over the tiles of the film until samples, time or noise say stop.
 
+mod bodies;
 mod training;
 
 use crate::error::Result;
@@ -51,6 +52,9 @@ pub struct GuideStats {
     pub seconds: f64,
     /// Boundary points with an irradiance estimate.
     pub records: u64,
+    /// Instances with a cache, and those too small on the picture for one.
+    pub bodies: usize,
+    pub bodies_too_small: usize,
     pub regions: usize,
     pub lit_regions: usize,
     pub bytes: usize,
@@ -107,12 +111,14 @@ pub fn render(scene: &Scene, settings: &RenderSettings, film: &Film, progress: &
     let limit = (settings.time_limit > 0.0).then(|| Duration::from_secs_f32(settings.time_limit));
     let out_of_time = || limit.is_some_and(|limit| start.elapsed() >= limit);
     let mut guide = Guide::new(scene, settings);
-    let (training, records) = training::train(scene, settings, &mut guide);
-    progress.add(&training);
+    let trained = training::train(scene, settings, &mut guide);
+    progress.add(&trained.stats);
     if film.watches_walks() {
         guide.number_regions();
     }
-    let mut learned = GuideStats { seconds: start.elapsed().as_secs_f64(), records, ..GuideStats::default() };
+    let [bodies, bodies_too_small] = trained.bodies;
+    let (seconds, records) = (start.elapsed().as_secs_f64(), trained.records);
+    let mut learned = GuideStats { seconds, records, bodies, bodies_too_small, ..GuideStats::default() };
     learned.count(&guide);
     progress.set_guide(learned.clone());
     let (mut done, mut pass) = (0, 1);
@@ -207,13 +213,15 @@ fn render_tile(
     let mut log = WalkLog::default();
     let path =
         PathSettings { max_depth: settings.max_depth, lights_visible_to_camera: settings.lights_visible_to_camera };
+    let lens = scene.camera.has_depth_of_field();
     for i in 0..(tile.width * tile.height) as usize {
         let (x, y) = (tile.x0 + i as u32 % tile.width, tile.y0 + i as u32 / tile.width);
         // The pixel's number in the whole image: a crop renders the pixels of the whole.
         let pixel = y * scene.camera.size[0] + x;
         for sample in begin..begin + count {
             let mut sampler = Sampler::new(settings.seed, pixel, sample);
-            let (u_filter, u_lens) = (sampler.next_2d(), sampler.next_2d());
+            let u_filter = sampler.next_2d();
+            let u_lens = if lens { sampler.next_2d() } else { sampler.skip_2d() };
             let raster = Vec2::new(x as f32 + 0.5 + tent(u_filter.x), y as f32 + 0.5 + tent(u_filter.y));
             let ray = scene.camera.ray(raster, u_lens);
             let sample = trace(scene, guide, path, ray, &mut sampler, &mut stats, &mut log);

@@ -3,12 +3,14 @@
 //! Points are spread uniformly over the boundary, which reaches the back of an ear that no walk has found yet, or
 //! found as the paper does, where camera paths enter and where classical walks come out.
 
+use super::bodies::{needs_records, share_records};
 use crate::flat::RenderSettings;
 use crate::guiding::cache::Record;
 use crate::guiding::field::{Field, FieldSettings};
 use crate::guiding::plan::{Plan, Walk};
 use crate::guiding::{ExitLights, Guide};
 use crate::integrator::{PathStats, probe};
+use crate::light::Parts;
 use crate::math::{Frame, Rgb};
 use crate::medium::Medium;
 use crate::sampling::cosine_hemisphere;
@@ -32,9 +34,6 @@ const ENOUGH_SAMPLES: u32 = 64;
 
 const RECORDS: std::ops::RangeInclusive<u64> = 8_000..=400_000;
 
-/// Of a boundary among others, however small.
-const LEAST_RECORDS: u32 = 256;
-
 /// Pixels across a cell: some hundred walks start there within the first passes (mixture_3d.md section 5).
 const PIXELS: f32 = 6.0;
 
@@ -50,27 +49,35 @@ const LEAST_LIT: u32 = 2;
 /// Smallest and largest cell relative to the longest side of the object.
 const CELL_RANGE: [f32; 2] = [1.0 / 128.0, 1.0 / 4.0];
 
-/// Fills the fields of `guide` that its plans need; counts what it took.
-pub fn train(scene: &Scene, settings: &RenderSettings, guide: &mut Guide) -> (PathStats, u64) {
-    let mut stats = PathStats::default();
-    let mut records = 0;
-    let boundaries: Vec<BoundaryOf> =
-        (0..scene.instances.len() as u32).filter_map(|instance| BoundaryOf::new(scene, guide, instance)).collect();
-    let sizes: Vec<f64> = boundaries.iter().map(BoundaryOf::apparent_size).collect();
-    let all: f64 = sizes.iter().sum();
-    for (boundary, size) in boundaries.iter().zip(sizes) {
-        // A body that fills the frame has most of them, a tooth its share.
-        let count = ((f64::from(record_count(scene, settings)) * size / all) as u32).max(LEAST_RECORDS);
+/// What training took.
+#[derive(Default)]
+pub struct Trained {
+    pub stats: PathStats,
+    pub records: u64,
+    /// Bodies with a field, and those too small for one.
+    pub bodies: [usize; 2],
+}
+
+/// Fills the fields of `guide` that its plans need.
+pub fn train(scene: &Scene, settings: &RenderSettings, guide: &mut Guide) -> Trained {
+    // A body that fills the frame has most of the records, a tooth its share.
+    let (shares, small) = share_records(scene, guide, record_count(scene, settings));
+    let mut trained = Trained { bodies: [shares.len(), small], ..Trained::default() };
+    let learned = guide.exit_lights == ExitLights::Learned && !shares.is_empty();
+    let parts = if learned { scene.lights.parts() } else { Parts::default() };
+    for (instance, count) in shares {
+        let Some(boundary) = BoundaryOf::new(scene, guide, instance) else { continue };
         let (found, seen) = match settings.cache_fill.as_str() {
             "camera" => boundary.records_by_walks(guide, settings, count),
             _ => boundary.records_by_area(guide, settings.seed, count),
         };
-        stats.add(&seen);
-        records += found.len() as u64;
-        let field = Field::build(&found, &boundary.medium, boundary.field_settings(settings, guide, found.len()));
-        guide.fields[boundary.instance as usize] = Some(field);
+        trained.stats.add(&seen);
+        trained.records += found.len() as u64;
+        let of_field = boundary.field_settings(settings, guide, found.len());
+        let field = Field::build(&found, &boundary.medium, &parts, of_field);
+        guide.fields[instance as usize] = Some(Box::new(field));
     }
-    (stats, records)
+    trained
 }
 
 fn record_count(scene: &Scene, settings: &RenderSettings) -> u32 {
@@ -97,13 +104,9 @@ impl<'a> BoundaryOf<'a> {
     /// `None`: no plan needs to know this boundary.
     fn new(scene: &'a Scene, guide: &Guide, instance: u32) -> Option<Self> {
         let of = &scene.instances[instance as usize];
-        let planned = |triangle: u32| {
-            let plan = guide.plan(of.surfaces + of.geometry.slot(triangle) as u32)?;
-            (plan.0.needs_cache() || guide.exit_lights == ExitLights::Learned).then_some(plan)
-        };
         let triangles: Vec<u32> =
-            (0..of.geometry.triangles.len() as u32).filter(|&triangle| planned(triangle).is_some()).collect();
-        let (plan, medium) = planned(*triangles.first()?)?;
+            (0..of.geometry.triangles.len() as u32).filter(|&triangle| needs_records(guide, of, triangle)).collect();
+        let (plan, medium) = guide.plan(of.surfaces + of.geometry.slot(*triangles.first()?) as u32)?;
         let edges = |triangle: u32| {
             let [a, b, c] = of.geometry.corners(triangle).map(|p| of.to_render.linear * p);
             (a, (b - a).cross(c - a))
@@ -124,13 +127,6 @@ impl<'a> BoundaryOf<'a> {
             areas,
             outward: if volume < 0.0 { -1.0 } else { 1.0 },
         })
-    }
-
-    /// Area over the squared distance from the camera, which is no nearer than the body is large.
-    fn apparent_size(&self) -> f64 {
-        let of = &self.scene.instances[self.instance as usize];
-        let distance = of.to_render.translation.length().max(of.half_size().length());
-        self.areas.sum() / f64::from(distance * distance).max(f64::MIN_POSITIVE)
     }
 
     /// Records at points uniform over the surface.
@@ -218,7 +214,6 @@ impl<'a> BoundaryOf<'a> {
             normals: settings.normals as usize,
             classical: guide.start_fraction(self.plan.walk == Walk::Mixture),
             guided_first: guide.guided_first,
-            lights: self.scene.lights.len(),
             guide_exits: settings.guide_exits && self.plan.walk == Walk::Mixture,
         }
     }

@@ -45,6 +45,18 @@ impl Sampler {
         Vec2::new(self.next_1d(), self.next_1d())
     }
 
+    /// In place of [`Self::next_2d`] where nothing uses it: what follows gets the same numbers.
+    pub fn skip_2d(&mut self) -> Vec2 {
+        for _ in 0..2 {
+            if self.dimension < SOBOL_DIMENSIONS {
+                self.dimension += 1;
+            } else {
+                self.bits();
+            }
+        }
+        Vec2::ZERO
+    }
+
     /// A number in [0, 1) from the hashed stream: SplitMix64 (Steele et al. 2014), top 24 bits.
     pub fn random(&mut self) -> f32 {
         (self.bits() >> 40) as f32 * (1.0 / (1u64 << 24) as f32)
@@ -69,4 +81,22 @@ fn mix(mut z: u64) -> u64 {
 
 fn hash(x: u64) -> u64 {
     mix(x.wrapping_add(0x9e37_79b9_7f4a_7c15))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Whether a lens is there or not, all that follows gets the same numbers, Sobol or hashed.
+    #[test]
+    fn skipping_moves_no_other_number() {
+        for drawn in [0, SOBOL_DIMENSIONS - 2, SOBOL_DIMENSIONS - 1, SOBOL_DIMENSIONS] {
+            let mut used = Sampler::new(3, 7, 5);
+            (0..drawn).for_each(|_| _ = used.next_1d());
+            let mut unused = used.clone();
+            used.next_2d();
+            unused.skip_2d();
+            assert_eq!((used.next_1d(), used.random()), (unused.next_1d(), unused.random()), "after {drawn}");
+        }
+    }
 }

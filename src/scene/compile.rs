@@ -48,7 +48,9 @@ pub fn compile(
     let camera = Camera::compile(camera, &flat.settings);
     let blas_built = build_geometry(flat, cache);
 
-    let mut builder = Builder { flat, origin: camera.origin, warnings, needs: Needs::default(), surfaces: Vec::new() };
+    let needs = Needs::default();
+    let (surfaces, coatings) = (Vec::new(), BTreeMap::new());
+    let mut builder = Builder { flat, origin: camera.origin, warnings, needs, surfaces, coatings };
     let (mut instances, emitters) = builder.place(cache);
     let lights = builder.lights(&mut instances, emitters);
     builder.count(&camera, &instances, &lights);
@@ -116,6 +118,8 @@ struct Builder<'a> {
     warnings: &'a mut Vec<Warning>,
     needs: Needs,
     surfaces: Vec<Coating>,
+    /// Of `surfaces`, those that others are alike to: by material, and by what they take from the mesh.
+    coatings: BTreeMap<(String, Option<[u32; 3]>, u32), Coating>,
 }
 
 impl Builder<'_> {
@@ -203,25 +207,43 @@ impl Builder<'_> {
         }
         let subsets =
             mesh.geom_subsets.iter().map(|s| if s.material.is_empty() { &mesh.material } else { &s.material });
-        for material in std::iter::once(&mesh.material).chain(subsets) {
-            let prim = if material.is_empty() { path } else { material };
-            let standard = flat::Material::default();
-            let material = self.flat.materials.get(material).unwrap_or(&standard);
-            let surface = Surface::compile(
-                material,
-                display_color,
-                geometry.display_opacity,
-                boundary_named(&self.flat.settings.subsurface_boundary),
-                prim,
-                self.warnings,
-            );
-            let interior = surface.interior().map(|i| compile_interior(&i));
-            if let Some(interior) = &interior {
+        let used = geometry.slots_in_use(1 + mesh.geom_subsets.len());
+        for (material, used) in std::iter::once(&mesh.material).chain(subsets).zip(used) {
+            // What no face wears is none of the scene's: its slot is there, with a surface that needs nothing.
+            let (material, opacity) = if used { (material.as_str(), geometry.display_opacity) } else { ("", 1.0) };
+            let coating = self.coating(path, material, display_color, opacity);
+            if let Some(interior) = &coating.interior {
                 self.warn_if_open(path, geometry, interior.medium.scatters());
             }
-            self.surfaces.push(Coating { surface, interior });
+            self.surfaces.push(coating);
         }
         first
+    }
+
+    /// The surface of a material (empty: none) on the mesh at `path`, compiled once for all that are alike: its tables
+    /// take milliseconds.
+    fn coating(&mut self, path: &str, material: &str, display_color: Option<Rgb>, opacity: f32) -> Coating {
+        let key = (material.to_owned(), display_color.map(|c| c.to_array().map(f32::to_bits)), opacity.to_bits());
+        if let Some(known) = self.coatings.get(&key) {
+            return known.clone();
+        }
+        let warned = self.warnings.len();
+        let standard = flat::Material::default();
+        let surface = Surface::compile(
+            self.flat.materials.get(material).unwrap_or(&standard),
+            display_color,
+            opacity,
+            boundary_named(&self.flat.settings.subsurface_boundary),
+            if material.is_empty() { path } else { material },
+            self.warnings,
+        );
+        let interior = surface.interior().map(|i| compile_interior(&i));
+        let coating = Coating { surface, interior };
+        if self.warnings.len() == warned {
+            // Else the next mesh of the kind is to be named, too.
+            self.coatings.insert(key, coating.clone());
+        }
+        coating
     }
 
     fn warn_if_open(&mut self, path: &str, geometry: &Geometry, scatters: bool) {
@@ -326,4 +348,59 @@ fn compile_interior(interior: &bsdf::Interior) -> Interior {
     let radius = interior.radius.max(Rgb::splat(MIN_MEAN_FREE_PATH));
     // An infinite mean free path is a vacuum: 1 / inf = 0.
     Interior { boundary: interior.boundary, medium: Medium { sigma_t: 1.0 / radius, albedo, g: interior.g } }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::flat::{GeomSubset, Interpolation, Material, Mesh, PreviewSurface, Primvar};
+
+    /// Two triangles in `material`, of a constant displayColor.
+    fn card(material: &str, color: f32) -> Mesh {
+        let display_color =
+            Primvar { interpolation: Interpolation::Constant, values: vec![[color; 3]].into(), indices: None };
+        Mesh {
+            points: vec![[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]].into(),
+            face_vertex_counts: vec![3, 3].into(),
+            face_vertex_indices: vec![0, 1, 2, 0, 2, 3].into(),
+            display_color: Some(display_color),
+            material: material.into(),
+            ..Mesh::default()
+        }
+    }
+
+    fn compiled(meshes: impl IntoIterator<Item = (&'static str, Mesh)>) -> Scene {
+        let mut flat = FlatScene::default();
+        flat.settings.camera = "/C".into();
+        flat.cameras.insert("/C".into(), flat::Camera::default());
+        let preview = |surface| Material::UsdPreviewSurface(surface);
+        flat.materials.insert("/Plain".into(), preview(PreviewSurface::default()));
+        flat.materials.insert("/Wax".into(), preview(PreviewSurface { subsurface: 1.0, ..PreviewSurface::default() }));
+        flat.meshes.extend(meshes.into_iter().map(|(path, mesh)| (path.to_owned(), mesh)));
+        compile(&flat, &mut GeometryCache::new(), &mut Vec::new()).expect("a scene").0
+    }
+
+    /// Surfaces that meshes have in common are compiled once, and each mesh still shows its own colour.
+    #[test]
+    fn alike_is_by_material_and_what_is_taken_from_the_mesh() {
+        let cards = [("/A", "/Plain", 0.2), ("/B", "/Plain", 0.7), ("/D", "", 0.2), ("/E", "/Plain", 0.2)];
+        let scene = compiled(cards.map(|(path, material, color)| (path, card(material, color))));
+        let colors: Vec<f32> = scene.surfaces.iter().map(|coating| coating.surface.albedo().x).collect();
+        assert_eq!(colors, [0.2, 0.7, 0.2, 0.2]);
+        let scene = compiled([("/A", card("/Plain", 0.2)), ("/B", card("/Wax", 0.2))]);
+        assert_eq!(scene.surfaces.iter().map(|c| c.interior.is_some()).collect::<Vec<_>>(), [false, true]);
+    }
+
+    /// A material that subsets leave no face to is not needed, whatever it is.
+    #[test]
+    fn what_no_face_wears_is_not_needed() {
+        let covered = |indices: Vec<i32>| {
+            let subset = GeomSubset { path: "/A/S".into(), indices: indices.into(), material: "/Plain".into() };
+            compiled([("/A", Mesh { geom_subsets: vec![subset], ..card("/Wax", 0.5) })])
+        };
+        assert!(covered(vec![1]).needs.walks());
+        let scene = covered(vec![0, 1]);
+        assert!(!scene.needs.walks() && !scene.needs.transparency);
+        assert_eq!(scene.surfaces.len(), 2);
+    }
 }

@@ -113,6 +113,16 @@ impl Geometry {
         self.slots.as_ref().map_or(0, |slots| usize::from(slots[triangle as usize]))
     }
 
+    /// Which of `count` slots have a triangle.
+    pub fn slots_in_use(&self, count: usize) -> Vec<bool> {
+        let mut used = vec![false; count];
+        match &self.slots {
+            None => used[0] = !self.triangles.is_empty(),
+            Some(slots) => slots.iter().for_each(|&slot| used[usize::from(slot)] = true),
+        }
+        used
+    }
+
     pub fn memory(&self) -> usize {
         self.points.len() * 12 + self.triangles.len() * 12 + self.blas.memory()
     }
@@ -120,7 +130,7 @@ impl Geometry {
     /// Edges (between points welded by position) that do not join faces in pairs: what keeps the mesh from
     /// enclosing a volume. Asked only for meshes with a medium.
     pub fn open_edges(&self) -> usize {
-        let mut ids = std::collections::HashMap::new();
+        let mut ids = rustc_hash::FxHashMap::default();
         let welded: Vec<usize> = self
             .points
             .iter()
@@ -130,7 +140,7 @@ impl Geometry {
                 *ids.entry((*p + Vec3::ZERO).to_array().map(f32::to_bits)).or_insert(next)
             })
             .collect();
-        let mut faces = std::collections::HashMap::<(usize, usize), u32>::new();
+        let mut faces = rustc_hash::FxHashMap::<(usize, usize), u32>::default();
         for triangle in &self.triangles {
             let [a, b, c] = triangle.map(|i| welded[i as usize]);
             for (i, j) in [(a, b), (b, c), (c, a)].into_iter().filter(|(i, j)| i != j) {

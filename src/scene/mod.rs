@@ -151,6 +151,11 @@ impl Scene {
         occluded
     }
 
+    /// Whether rays may meet light shapes.
+    pub fn has_light_shapes(&self) -> bool {
+        !self.light_shapes.is_empty()
+    }
+
     /// Calls `visit` for every light shape crossed for 0 < t < `t_max`. Lights cast no shadows.
     pub fn light_shapes(&self, o: Vec3, d: Vec3, t_max: f32, mut visit: impl FnMut(u32, &ShapeHit)) {
         if self.light_shapes.is_empty() {

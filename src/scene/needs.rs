@@ -1,5 +1,6 @@
 //! What a scene uses, hence which code paths and tables exist at all; `dermis explain` prints it.
 
+use crate::flat::GUIDE_AOVS;
 use serde::Serialize;
 
 /// Counted at compile from the scene that was committed.
@@ -32,7 +33,7 @@ pub struct Needs {
     pub aovs: Vec<String>,
 }
 
-/// One line of `dermis explain`: a capability, whether it is on, and why.
+/// One line of `dermis explain`: a capability, whether it is on, and why or why not.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Explanation {
     pub capability: &'static str,
@@ -50,46 +51,96 @@ impl Needs {
         format!("{refined_meshes} surfaces refined to {refined_triangles} triangles, {cages} left as cages")
     }
 
+    fn not_refined(&self) -> String {
+        match self.cages {
+            0 => "no subdivision surface".into(),
+            n => format!("{n} surfaces are left as cages; --complexity refines them"),
+        }
+    }
+
+    /// Each capability with why it is on, or what is missing for it.
     pub fn explain(&self) -> Vec<Explanation> {
-        let line = |capability, on, why: String| Explanation { capability, on, why };
+        let media = format!(
+            "media with diffuse {}, dielectric {}, index-matched {} boundary",
+            self.diffuse_media, self.dielectric_media, self.index_matched_media
+        );
         let count = |n: u32, what: &str| format!("{n} {what}");
+        let names = self.aovs.iter().map(String::as_str);
+        let (of_walks, plain): (Vec<&str>, Vec<&str>) = names.partition(|aov| GUIDE_AOVS.contains(aov));
+        let line = Explanation::new;
         vec![
+            line("subsurface walk", self.walks(), media, "no medium on anything that is rendered"),
             line(
-                "subsurface walk",
-                self.walks(),
-                format!(
-                    "media with diffuse {}, dielectric {}, index-matched {} boundary",
-                    self.diffuse_media, self.dielectric_media, self.index_matched_media
-                ),
+                "spectral MIS",
+                self.rgb_media,
+                "mean free path or albedo differs between channels".into(),
+                "no medium whose channels differ",
             ),
-            line("spectral MIS", self.rgb_media, "mean free path or albedo differs between channels".into()),
-            line("anisotropic phase function", self.anisotropic_media, "a medium with g other than 0".into()),
+            line("anisotropic phase function", self.anisotropic_media, "a medium with g other than 0".into(), "g is 0"),
+            line(
+                "dielectric boundaries",
+                self.dielectric_media > 0,
+                count(self.dielectric_media, "media behind one"),
+                "no medium behind one",
+            ),
             line(
                 "Beer-Lambert interiors",
                 self.clear_media > 0,
                 count(self.clear_media, "transmissive interiors without scattering"),
+                "no transmissive interior without scattering",
             ),
             line(
                 "light at collisions",
                 self.index_matched_media > 0,
                 "index-matched boundaries let light straight in".into(),
+                "no index-matched boundary",
             ),
             line(
                 "transparent shadows",
                 self.transparency,
                 "surfaces with opacity below 1, or index-matched media".into(),
+                "nothing that shadow rays pass",
             ),
-            line("instancing", self.instanced > 0, count(self.instanced, "placements share geometry")),
-            line("subdivision", self.refined_meshes > 0, self.subdivision()),
-            line("mesh lights", self.mesh_lights > 0, count(self.mesh_lights, "meshes emit as lights")),
+            line(
+                "instancing",
+                self.instanced > 0,
+                count(self.instanced, "placements share geometry"),
+                "every mesh is placed once",
+            ),
+            line(
+                "mesh lights",
+                self.mesh_lights > 0,
+                count(self.mesh_lights, "meshes emit as lights"),
+                "no mesh is one",
+            ),
+            line("subdivision", self.refined_meshes > 0, self.subdivision(), &self.not_refined()),
             line(
                 "environment sampling",
                 self.infinite_lights > 0,
                 count(self.infinite_lights, "dome or distant lights"),
+                "no dome, no distant light with an angle",
             ),
-            line("textures", self.textures > 0, count(self.textures, "images")),
-            line("depth of field", self.depth_of_field, "fStop and focusDistance of the camera above 0".into()),
-            line("AOVs", !self.aovs.is_empty(), self.aovs.join(", ")),
+            line(
+                "textures",
+                self.textures > 0,
+                count(self.textures, "images"),
+                "no image on anything that is rendered",
+            ),
+            line(
+                "depth of field",
+                self.depth_of_field,
+                "fStop and focusDistance of the camera above 0".into(),
+                "fStop or focusDistance of the camera is 0, or it is switched off",
+            ),
+            line("AOVs", !plain.is_empty(), plain.join(", "), "none asked for beside the beauty"),
+            line("AOVs of walks", !of_walks.is_empty(), of_walks.join(", "), "none asked for"),
         ]
+    }
+}
+
+impl Explanation {
+    /// A line that says why it is `on`, or what is `missing` for it.
+    pub fn new(capability: &'static str, on: bool, why: String, missing: &str) -> Self {
+        Self { capability, on, why: if on { why } else { missing.into() } }
     }
 }

@@ -160,6 +160,8 @@ impl Techniques {
 pub struct GuidedMedium {
     pub medium: Medium,
     pub kernels: [Kernel; 3],
+    /// Channels that differ: 1 of a grey medium, whose densities are then those of one.
+    channels: usize,
     /// Largest sigma_t: path lengths are kept in its mean free paths.
     pub scale: f32,
     /// sigma_t / scale.
@@ -177,6 +179,7 @@ impl GuidedMedium {
         // A channel without extinction or scattering never collides: 1e-300 per collision is as good as never.
         let ln = |v: DVec3| v.max(DVec3::splat(1e-300)).map(f64::ln);
         Self {
+            channels: if grey(medium.sigma_t) && grey(medium.albedo) { 1 } else { 3 },
             scale,
             sigma,
             ln_sigma: ln(sigma),
@@ -186,6 +189,10 @@ impl GuidedMedium {
             kernels,
         }
     }
+}
+
+fn grey(c: Rgb) -> bool {
+    c.x == c.y && c.y == c.z
 }
 
 /// What the densities of a path under way depend on; lengths in mean free paths of the densest channel,
@@ -272,17 +279,26 @@ impl Techniques {
         // In f64 until the largest is subtracted: they reach thousands where their differences matter to 1e-5.
         let along = self.along(prefix);
         let mut guided = [[0.0; LANES]; 3];
-        for c in 0..3 {
+        for c in 0..medium.channels {
             let base = plain[c] + turns * medium.ln_alpha_hat[c];
             let slope = f64::from(medium.kernels[c].kappa) * medium.sigma[c];
             for i in 0..LANES {
                 guided[c][i] = base + slope * along[i];
             }
         }
+        for c in medium.channels..3 {
+            guided[c] = guided[0];
+        }
         let largest = self.largest_drawn(&guided, plain);
-        let mut p = PerTechnique { guided: guided.map(|e| exp8(e, largest)), classical: [0.0; 3] };
-        p.classical = plain.to_array().map(|e| ((e - largest) as f32).min(LARGEST).exp());
+        let mut p = PerTechnique::default();
+        for c in 0..medium.channels {
+            p.guided[c] = exp8(guided[c], largest);
+            p.classical[c] = ((plain[c] - largest) as f32).min(LARGEST).exp();
+        }
         self.turn(medium, prefix, at, &mut p);
+        for c in medium.channels..3 {
+            (p.guided[c], p.classical[c]) = (p.guided[0], p.classical[0]);
+        }
         let f = (carried - largest).as_vec3().min(Rgb::splat(LARGEST));
         Densities { mixture: self.shares.dot(&p), p, f: crate::math::exp(f) }
     }
@@ -309,7 +325,7 @@ impl Techniques {
         if prefix.collisions == 0 && !classical_first && at == At::Boundary {
             return;
         }
-        for c in 0..3 {
+        for c in 0..medium.channels {
             let kernel = &medium.kernels[c];
             let (phi_first, phi_last) = (kernel.phi8(&first), kernel.phi8(&last));
             let stretch = |complement: f32| kernel.stretch_at(complement);
@@ -366,4 +382,32 @@ fn exp8(x: [f64; LANES], shift: f64) -> [f32; LANES] {
         out[i] = scale * poly;
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// One channel's work stands for all three of a grey medium, bit for bit.
+    #[test]
+    fn grey_media_have_the_densities_of_three_channels() {
+        let grey = GuidedMedium::new(Medium { sigma_t: Rgb::splat(3.0), albedo: Rgb::splat(0.9), g: 0.4 });
+        assert_eq!(grey.channels, 1);
+        let three = GuidedMedium { channels: 3, ..grey.clone() };
+        let mut techniques = Techniques::default();
+        techniques.set_normal(0, Vec3::Z);
+        techniques.set_normal(1, Vec3::new(0.6, 0.0, -0.8));
+        techniques.shares = PerTechnique { guided: [[0.1; LANES]; 3], classical: [0.1; 3] };
+        let mut prefix = Prefix::new(Vec3::new(0.0, 0.6, 0.8));
+        for (t, w) in [(0.7, Vec3::X), (1.9, Vec3::NEG_Z)] {
+            prefix.travel(t);
+            prefix.collisions += 1;
+            prefix.last = w;
+            for at in [At::Boundary, At::Collision] {
+                assert_eq!(techniques.densities(&grey, &prefix, at), techniques.densities(&three, &prefix, at));
+            }
+        }
+        let colored = Medium { albedo: Rgb::new(0.9, 0.9, 0.8), ..grey.medium };
+        assert_eq!(GuidedMedium::new(colored).channels, 3);
+    }
 }

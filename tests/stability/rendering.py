@@ -149,24 +149,37 @@ def compared(
 ) -> Iterator[Row]:
     """Rows of the quarters of a picture against those of another one of the same thing, rendered with another seed."""
     half = picture.color.shape[0] // 2
-    for name, rows, columns in (
+    for name, *part in (
         ("upper left", slice(0, half), slice(0, half)),
         ("upper right", slice(0, half), slice(half, None)),
         ("lower left", slice(half, None), slice(0, half)),
         ("lower right", slice(half, None), slice(half, None)),
     ):
-        a, b = (p.color[rows, columns, 1] for p in (picture, other))
-        _, error = mean_and_error(a - b)
-        yield Row(
-            family,
-            f"{stressed}, {name}",
-            source,
-            float(b.mean()),
-            float(a.mean()),
-            error,
-            non_finite=picture.non_finite,
-            note=counts(picture),
-            walk=walk_of(picture),
-            seconds=picture.seconds / 4,
-            **more,
-        )
+        yield difference(picture, other, family, f"{stressed}, {name}", source, tuple(part), **more)
+
+
+def difference(
+    picture: Picture,
+    other: Picture,
+    family: str,
+    stressed: str,
+    source: str,
+    part: tuple[slice, slice] = (slice(None), slice(None)),
+    **more: Any,
+) -> Row:
+    """A part of a picture, rows and columns, against that of another one."""
+    a, b = (p.color[(*part, 1)] for p in (picture, other))
+    _, error = mean_and_error(a - b)
+    return Row(
+        family,
+        stressed,
+        source,
+        float(b.mean()),
+        float(a.mean()),
+        error,
+        non_finite=picture.non_finite,
+        note=counts(picture),
+        walk=walk_of(picture),
+        seconds=picture.seconds * a.size / picture.color[..., 1].size,
+        **more,
+    )

@@ -7,6 +7,8 @@ from html import escape
 from itertools import groupby
 from pathlib import Path
 
+from dermis import costs
+
 from .row import RESOLUTION, Z_LIMIT, Row
 
 COLUMNS = (
@@ -89,6 +91,7 @@ def page(rows: list[Row], seconds: float) -> str:
         parts += ["<h2>What does not hold</h2>", table_of(attention, family=True)]
     for family, of in groupby(rows, key=lambda row: row.family):
         parts += [f"<h2>{escape(family)}</h2>", table_of(of)]
+    parts.append(costs.section())
     head = f'<meta charset="utf-8"><title>dermis: stability</title><style>{STYLE}</style>'
     return f'<!DOCTYPE html><html lang="en"><head>{head}</head><body>{"".join(parts)}</body></html>\n'
 

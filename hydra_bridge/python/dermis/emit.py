@@ -13,6 +13,7 @@ from .material import flatten_material
 from .mesh import MESH_TYPES, flatten_mesh, flatten_subsets
 from .points import flatten_points
 from .reading import Reader
+from .skel import Skins
 from .walk import Found, Frame, canonical_path
 
 Prim = dict[str, Any]
@@ -25,6 +26,7 @@ class Emitter:
         self.reader = reader
         self.binding_purpose = binding_purpose
         self.domes_visible = domes_visible
+        self.skins = Skins(reader)
         self.prims: dict[str, Prim] = {}
         self.textures: dict[str, Prim] = {}
         # Instancers that place a mesh at all.
@@ -62,7 +64,8 @@ class Emitter:
         elif found.kind == "Points":
             self.points(found, matrices)
         elif found.kind not in MESH_TYPES:
-            light = flatten_light(found.prim, found.kind, self.reader, self.textures, self.domes_visible)
+            textures = self.textures if found.context.visible else None
+            light = flatten_light(found.prim, found.kind, self.reader, textures, self.domes_visible)
             self.lights(found, light, matrices, [""] * len(matrices))
         elif found.emits:
             self.mesh_lights(found, matrices)
@@ -74,7 +77,7 @@ class Emitter:
 
     def mesh(self, found: Found) -> Prim | None:
         """The mesh without its place; its bindings are noted for `bind`."""
-        fields = flatten_mesh(found.prim, found.kind, self.reader, found.context.inherited())
+        fields = flatten_mesh(found.prim, found.kind, self.reader, found.context.inherited(), self.skins)
         if fields is None:
             return None
         mesh = {"type": "Mesh", "visible": found.context.visible, "material": "", "instancer": "", **fields}

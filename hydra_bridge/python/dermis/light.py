@@ -22,12 +22,12 @@ Fields = dict[str, Any]
 
 
 def flatten_light(
-    prim: Usd.Prim, kind: str, reader: Reader, textures: dict[str, Fields], domes_visible: bool
+    prim: Usd.Prim, kind: str, reader: Reader, textures: dict[str, Fields] | None, domes_visible: bool
 ) -> Fields:
     """Fields of `flat::Light` except transform and visible. `kind` is a light type, or `Mesh` for a mesh
     light.
 
-    Decoded images are added to `textures`.
+    Decoded images are added to `textures`; None: the light is not rendered, so its image is not read.
     """
     is_dome = kind.startswith("DomeLight")
     light = {
@@ -74,7 +74,7 @@ def shaping(prim: Usd.Prim, reader: Reader) -> Fields | None:
     }
 
 
-def shape(prim: Usd.Prim, kind: str, reader: Reader, textures: dict[str, Fields]) -> Fields:
+def shape(prim: Usd.Prim, kind: str, reader: Reader, textures: dict[str, Fields] | None) -> Fields:
     """`flat::LightShape`; for `Mesh` the walk fills in the key of the mesh."""
 
     def number(name: str, default: float) -> float:
@@ -82,7 +82,7 @@ def shape(prim: Usd.Prim, kind: str, reader: Reader, textures: dict[str, Fields]
 
     match kind:
         case "RectLight":
-            texture = flatten_texture(prim, "inputs:texture:file", reader, textures)
+            texture = image(prim, reader, textures)
             return {
                 "kind": "rect",
                 "width": number("width", 1.0),
@@ -106,14 +106,18 @@ def shape(prim: Usd.Prim, kind: str, reader: Reader, textures: dict[str, Fields]
     return {"kind": "mesh", "mesh": ""}
 
 
-def dome_texture(prim: Usd.Prim, reader: Reader, textures: dict[str, Fields]) -> str:
+def image(prim: Usd.Prim, reader: Reader, textures: dict[str, Fields] | None) -> str:
+    return "" if textures is None else flatten_texture(prim, "inputs:texture:file", reader, textures)
+
+
+def dome_texture(prim: Usd.Prim, reader: Reader, textures: dict[str, Fields] | None) -> str:
     layout = reader.value(prim, "inputs:texture:format", "automatic")
     if layout not in ("automatic", "latlong"):
         reader.warn(
             prim, f"inputs:texture:format: '{layout}' is not supported; the dome emits its plain colour"
         )
         return ""
-    return flatten_texture(prim, "inputs:texture:file", reader, textures)
+    return image(prim, reader, textures)
 
 
 def pole(prim: Usd.Prim, kind: str, reader: Reader) -> str:

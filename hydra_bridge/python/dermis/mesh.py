@@ -9,6 +9,7 @@ from pxr import Usd, UsdGeom
 from .curves import read_primvar, tessellate_curves
 from .implicit import IMPLICIT_TYPES, tessellate
 from .reading import Reader
+from .skel import Skins
 
 PRIMVARS = {"st": ("st", 2), "displayColor": ("displayColor", 3), "displayOpacity": ("displayOpacity", 1)}
 """Primvar -> field of Mesh, components."""
@@ -48,15 +49,18 @@ Inherited = Mapping[str, UsdGeom.Primvar]
 """Constant primvars of the ancestors by name."""
 
 
-def flatten_mesh(prim: Usd.Prim, kind: str, reader: Reader, inherited: Inherited) -> dict[str, Any] | None:
+def flatten_mesh(
+    prim: Usd.Prim, kind: str, reader: Reader, inherited: Inherited, skins: Skins
+) -> dict[str, Any] | None:
     """Fields of `flat::Mesh` except transform, visibility and material; None where there is nothing to
     render."""
     if kind == "BasisCurves":
         return curves(prim, reader, inherited)
     if kind == "Mesh":
         mesh = polygons(prim, reader)
-        if mesh and mesh["subdivisionScheme"] != "none":
-            level = refine_level(prim, inherited, reader)
+        if mesh is not None:
+            skins.deform(prim, mesh)
+            level = refine_level(prim, inherited, reader) if mesh["subdivisionScheme"] != "none" else None
             mesh |= {} if level is None else {"refineLevel": level}
     elif (surface := tessellate(prim, kind, reader)) is not None:
         mesh = {"orientation": "rightHanded", "subdivisionScheme": "none", **surface}

@@ -35,13 +35,15 @@ PROTOTYPES = Usd.TraverseInstanceProxies(Usd.PrimIsActive & Usd.PrimIsLoaded)
 @dataclass(frozen=True)
 class Context:
     """What a prim has from its ancestors. `primvars`: name, primvar, bytes of its value; `bindings`: direct
-    material bindings in force as (relationship, material, stronger than descendants)."""
+    material bindings in force as (relationship, material, stronger than descendants); `skel`: skeleton and
+    animation bound, as (relationship, targets)."""
 
     visible: bool = True
     purpose: str = "default"
     primvars: tuple[tuple[str, UsdGeom.Primvar, bytes], ...] = ()
     bindings: tuple[tuple[str, str, bool], ...] = ()
     collections: bool = False
+    skel: tuple[tuple[str, str], ...] = ()
 
     def inherited(self) -> dict[str, UsdGeom.Primvar]:
         return {name: primvar for name, primvar, _ in self.primvars}
@@ -170,7 +172,7 @@ class Walk:
             return
         signature = (prim.GetPrototype().GetPath(), frame.predicate is PROTOTYPES, frame.in_point_instancer)
         signature += (context.purpose, tuple((name, value) for name, _, value in context.primvars))
-        signature += (self.bound_below(prim) if context.collections else context.bindings,)
+        signature += (self.bound_below(prim) if context.collections else context.bindings, context.skel)
         child = self.frames.get(signature)
         if child is None:
             child = Frame(
@@ -239,7 +241,20 @@ def descend(prim: Usd.Prim, context: Context, reader: Reader) -> Context:
     if any(name.startswith("material:binding") for name in names):
         changes["bindings"] = direct_bindings(prim, context)
         changes["collections"] = context.collections or any("binding:collection" in name for name in names)
+    if any(name.startswith("skel:") for name in names):
+        changes["skel"] = skel_bindings(prim, context)
     return replace(context, **changes) if changes else context
+
+
+def skel_bindings(prim: Usd.Prim, context: Context) -> tuple:
+    """Skeleton and animation are inherited (UsdSkelBindingAPI)."""
+    bindings = dict(context.skel)
+    for name in ("skel:skeleton", "skel:animationSource"):
+        relationship = prim.GetRelationship(name)
+        if relationship and relationship.HasAuthoredTargets():
+            targets = relationship.GetForwardedTargets()
+            bindings[name] = " ".join(canonical(prim.GetStage(), path) for path in targets)
+    return tuple(sorted(bindings.items()))
 
 
 def constant_primvars(prim: Usd.Prim, context: Context, reader: Reader) -> tuple:

@@ -28,7 +28,7 @@ fn a_sampled_direction_hits_with_the_pdf_it_was_sampled_with() {
                     missed += 1;
                     continue;
                 };
-                let pdf = lights.pdf_hit(0, p, None, Choice::One, s.wi, &hit);
+                let pdf = lights.pdf_hit(0, p, None, Choice::ONE, s.wi, &hit);
                 // At grazing angles the distance itself is uncertain.
                 differing += u32::from((pdf / s.pdf - 1.0).abs() > 1e-3 || (hit.t / s.distance - 1.0).abs() > 1e-4);
                 assert_eq!(lights.radiance_hit(0, s.wi, &hit), s.radiance);
@@ -141,7 +141,7 @@ fn directions_are_distributed_as_the_pdf_says() {
     for (what, light) in cases() {
         let lights = compile(&[light]);
         for p in POINTS {
-            if lights.choice_probability(0, p, None, Choice::One) == 0.0 {
+            if lights.choice_probability(0, p, None, Choice::ONE) == 0.0 {
                 continue;
             }
             let (_, (min, max)) = lights.shapes().next().unwrap();
@@ -150,7 +150,7 @@ fn directions_are_distributed_as_the_pdf_says() {
             let cos_min = if d > radius { (1.0 - (radius / d).powi(2)).sqrt() } else { -1.0 };
             let pdf = |wi: Vec3| {
                 let hit = lights.intersect(0, p, wi, f32::INFINITY);
-                hit.map_or(0.0, |hit| lights.pdf_hit(0, p, None, Choice::One, wi, &hit))
+                hit.map_or(0.0, |hit| lights.pdf_hit(0, p, None, Choice::ONE, wi, &hit))
             };
             let axis = (center - p).normalize();
             check_directions(&lights, p, None, (axis, cos_min), pdf, &format!("{what} at {p}"));

@@ -4,6 +4,7 @@ mod choice;
 mod directions;
 mod dropped;
 mod infinite;
+mod many;
 mod quadrature;
 mod shapes;
 
@@ -80,7 +81,7 @@ impl Random {
 
     fn sample(&mut self, lights: &Lights, p: Vec3, n: Option<Vec3>) -> Option<LightSample> {
         let (choice, u) = (self.next(), self.next_2d());
-        lights.sample(p, n, Choice::One, choice, u)
+        lights.sample(p, n, Choice::ONE, choice, u)
     }
 }
 

@@ -134,8 +134,8 @@ fn mirroring_leaves_the_emitting_side() {
     let rect = LightShape::Rect { width: 1.0, height: 1.0, texture: String::new() };
     let mirrored = matrix([-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 2.0]);
     let lights = compile(&[light(rect.clone(), mirrored)]);
-    assert!(lights.sample(ORIGIN, None, Choice::One, 0.5, Vec2::splat(0.5)).is_some());
-    assert!(lights.sample(Vec3::Z * 4.0, None, Choice::One, 0.5, Vec2::splat(0.5)).is_none());
+    assert!(lights.sample(ORIGIN, None, Choice::ONE, 0.5, Vec2::splat(0.5)).is_some());
+    assert!(lights.sample(Vec3::Z * 4.0, None, Choice::ONE, 0.5, Vec2::splat(0.5)).is_none());
     assert!(lights.intersect(0, ORIGIN, Vec3::Z, 9.0).is_some());
     assert!(lights.intersect(0, Vec3::Z * 4.0, Vec3::NEG_Z, 9.0).is_none());
     // Mirrored along Z it does turn around.
@@ -150,7 +150,7 @@ fn nothing_shines_inside() {
     for shape in [LightShape::Sphere { radius: 1.0 }, LightShape::Cylinder { length: 2.0, radius: 1.0 }] {
         let lights = compile(&[light(shape, IDENTITY)]);
         let p = Vec3::new(0.2, 0.3, -0.1);
-        assert!(lights.sample(p, None, Choice::One, 0.5, Vec2::splat(0.3)).is_none());
+        assert!(lights.sample(p, None, Choice::ONE, 0.5, Vec2::splat(0.3)).is_none());
         assert!(lights.intersect(0, p, Vec3::Y, 9.0).is_none());
         assert!(lights.intersect(0, Vec3::new(5.0, 0.0, 0.0), Vec3::NEG_X, 1.0).is_none());
     }
@@ -207,11 +207,11 @@ fn mesh_hits_have_the_pdf_they_were_sampled_with() {
         let q = p + s.wi * s.distance;
         // The diagonal from (-0.7, -0.3) to (0.7, 0.3) parts triangle 0 from triangle 2.
         let hit = ShapeHit::on_mesh(s.distance, if q.y * 0.7 < q.x * 0.3 { 0 } else { 2 });
-        assert!((lights.pdf_hit(0, p, None, Choice::One, s.wi, &hit) / s.pdf - 1.0).abs() < 1e-4);
+        assert!((lights.pdf_hit(0, p, None, Choice::ONE, s.wi, &hit) / s.pdf - 1.0).abs() < 1e-4);
         assert_eq!(lights.radiance_hit(0, s.wi, &hit), s.radiance);
     }
     let behind = ShapeHit::on_mesh(1.0, 0);
     assert_eq!(lights.radiance_hit(0, Vec3::NEG_Z, &behind), Vec3::ZERO);
-    assert_eq!(lights.pdf_hit(0, Vec3::Z * 3.0, None, Choice::One, Vec3::NEG_Z, &behind), 0.0);
+    assert_eq!(lights.pdf_hit(0, Vec3::Z * 3.0, None, Choice::ONE, Vec3::NEG_Z, &behind), 0.0);
     assert!(random.sample(&lights, Vec3::Z * 5.0, None).is_none());
 }

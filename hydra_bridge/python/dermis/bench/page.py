@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from .. import costs
 from ..color import DisplayTransform, quantize
 from . import plots, table
 from .measures import Array, Mask, bias_threshold, picked
@@ -55,6 +56,7 @@ def page(
         "LESS": less_work(rows, suite),
         "SHEET": sheet.html(),
         "CROPS": crop_sections(rows, slopes, suite),
+        "COSTS": costs.section(),
         "REFERENCES": html_table(table.references(rows), suite),
         "LEGEND": items(facts.legend),
         "MACHINE": escape(facts.machine),

@@ -16,6 +16,7 @@ class Table:
     title: str
     columns: tuple[str, ...]
     lines: list[list[str]]
+    words: tuple[str, ...] = WORDS
 
 
 def efficiency_tables(rows: Sequence[Row], suite: Suite, work: Work) -> list[Table]:
@@ -148,7 +149,7 @@ def markdown(table: Table) -> str:
     columns = [text.replace("|", "\\|") for text in table.columns]
     escaped = [[text.replace("|", "\\|") for text in line] for line in table.lines]
     widths = [max(len(text) for text in column) for column in zip(columns, *escaped, strict=True)]
-    left = [name in WORDS for name in table.columns]
+    left = [name in table.words for name in table.columns]
 
     def padded(line: Sequence[str]) -> str:
         texts = [t.ljust(w) if at else t.rjust(w) for t, w, at in zip(line, widths, left, strict=True)]

@@ -1,0 +1,193 @@
+"""UsdSkel: the points that a mesh has at a time, by blend shapes first and joints after them.
+
+Everything is usd-core's own evaluation. Only normals, for which its Python has no function per mesh, are put together
+here, as UsdSkelBakeSkinning does. Where a skeleton or a shape cannot be used the mesh stays at rest, and a warning
+says so.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Gf, Usd, UsdGeom, UsdSkel, Vt
+
+from .reading import Reader
+
+Mesh = dict[str, Any]
+
+
+class Skins:
+    """Skeletons at one time. Each SkelRoot has a cache of its own: instances that share a skeleton may bind
+    different animations to it."""
+
+    def __init__(self, reader: Reader) -> None:
+        self.reader = reader
+        self.xforms = UsdGeom.XformCache(reader.time)
+        self.caches: dict[str, UsdSkel.Cache] = {}
+
+    def deform(self, prim: Usd.Prim, mesh: Mesh) -> None:
+        """Moves `points` and `normals` of a flat mesh; outside a SkelRoot nothing moves (UsdSkel)."""
+        root = UsdSkel.Root.Find(prim)
+        if not root:
+            return
+        query = self.cache(root).GetSkinningQuery(prim)
+        if not query:
+            return
+        skeleton = self.cache(root).GetSkelQuery(UsdSkel.BindingAPI(prim).GetInheritedSkeleton())
+        if not skeleton:
+            self.reader.warn(prim, "skel:skeleton: there is no usable skeleton; the mesh stays at rest")
+            return
+        points = Vt.Vec3fArray.FromNumpy(mesh["points"].copy())
+        normals = Normals(mesh)
+        if query.HasBlendShapes():
+            self.blend(prim, query, skeleton, points, normals)
+        mesh["points"] = np.asarray(points)
+        if query.HasJointInfluences():
+            mesh["points"] = self.skin(prim, query, skeleton, points, normals)
+        normals.store(mesh)
+
+    def cache(self, root: UsdSkel.Root) -> UsdSkel.Cache:
+        path = str(root.GetPath())
+        if path not in self.caches:
+            self.caches[path] = UsdSkel.Cache()
+            self.caches[path].Populate(root, Usd.TraverseInstanceProxies())
+        return self.caches[path]
+
+    def blend(
+        self,
+        prim: Usd.Prim,
+        query: UsdSkel.SkinningQuery,
+        skeleton: UsdSkel.SkeletonQuery,
+        points: Vt.Vec3fArray,
+        normals: "Normals",
+    ) -> None:
+        animation = skeleton.GetAnimQuery()
+        weights = animation.ComputeBlendShapeWeights(self.reader.time) if animation else None
+        if not weights:
+            return
+        mapper = query.GetBlendShapeMapper()
+        if mapper:
+            weights = mapper.Remap(weights)
+        shapes = UsdSkel.BlendShapeQuery(UsdSkel.BindingAPI(prim))
+        sub_shapes = shapes.ComputeSubShapeWeights(weights)
+        if not sub_shapes:
+            self.reader.warn(prim, "skel:blendShapes: the weights do not fit the shapes; none is applied")
+            return
+        offsets = shapes.ComputeSubShapePointOffsets()
+        indices = shapes.ComputeBlendShapePointIndices()
+        if not shapes.ComputeDeformedPoints(*sub_shapes, indices, offsets, points):
+            self.reader.warn(prim, "skel:blendShapeTargets: a shape does not fit the points; none is applied")
+            return
+        normals.blend(shapes, sub_shapes, indices)
+
+    def skin(
+        self,
+        prim: Usd.Prim,
+        query: UsdSkel.SkinningQuery,
+        skeleton: UsdSkel.SkeletonQuery,
+        points: Vt.Vec3fArray,
+        normals: "Normals",
+    ) -> NDArray:
+        """The points in the mesh's own space; joints move them in the skeleton's."""
+        joints = skeleton.ComputeSkinningTransforms(self.reader.time)
+        if not joints:
+            self.reader.warn(prim, "skel:skeleton: it has no joint transforms; the mesh stays at rest")
+            return np.asarray(points)
+        to_mesh = self.xforms.GetLocalToWorldTransform(skeleton.GetPrim())
+        to_mesh *= self.xforms.GetLocalToWorldTransform(prim).GetInverse()
+        if query.IsRigidlyDeformed():
+            to_mesh = query.ComputeSkinnedTransform(joints, self.reader.time) * to_mesh
+        elif query.ComputeSkinnedPoints(joints, points, self.reader.time):
+            normals.skin(query, joints, len(points), self.reader.time)
+        else:
+            self.reader.warn(prim, "primvars:skel:jointIndices: they do not fit; the mesh stays at rest")
+            return np.asarray(points)
+        normals.transform(normal_matrix(to_mesh))
+        matrix = np.array(to_mesh)
+        return np.ascontiguousarray(np.asarray(points) @ matrix[:3, :3] + matrix[3, :3], np.float32)
+
+
+class Normals:
+    """Authored normals of a flat mesh while it is deformed; there are none where they are computed from the points."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        primvar = mesh.get("normals")
+        self.values: NDArray | None = None
+        if primvar is None:
+            return
+        #: The point of each normal, where one belongs to one point.
+        self.points = {
+            "vertex": np.arange(len(mesh["points"])),
+            "varying": np.arange(len(mesh["points"])),
+            "faceVarying": mesh["faceVertexIndices"],
+        }.get(primvar["interpolation"])
+        self.interpolation = primvar["interpolation"]
+        self.values = (
+            primvar["values"][primvar["indices"]] if "indices" in primvar else primvar["values"].copy()
+        )
+
+    def blend(self, shapes: UsdSkel.BlendShapeQuery, sub_shapes: tuple, indices: list) -> None:
+        """Adds the normal offsets of the shapes, by the weights of their sub-shapes; to normals per point only, as
+        UsdSkelBakeSkinning does."""
+        if self.values is None or self.interpolation not in ("vertex", "varying"):
+            return
+        sums = np.zeros(self.values.shape)
+        for weight, shape, sub_shape in zip(*map(np.asarray, sub_shapes), strict=True):
+            between = shapes.GetInbetween(int(sub_shape))
+            offsets = (
+                between.GetNormalOffsets()
+                if between
+                else shapes.GetBlendShape(int(shape)).GetNormalOffsetsAttr().Get()
+            )
+            if not offsets:
+                continue
+            touched = np.asarray(indices[int(shape)])
+            sums[touched if len(touched) else np.arange(len(offsets))] += weight * np.asarray(offsets)
+        self.values = normalized(self.values + sums)
+
+    def skin(
+        self, query: UsdSkel.SkinningQuery, joints: Vt.Matrix4dArray, count: int, time: Usd.TimeCode
+    ) -> None:
+        """By the inverse transposes of the joints' transforms, as UsdSkelSkinNormals has it."""
+        influences = query.ComputeVaryingJointInfluences(count, time)
+        if self.values is None or self.points is None or not influences:
+            return
+        mapper = query.GetJointMapper()
+        if mapper:
+            joints = mapper.RemapTransforms(joints)
+        width = query.GetNumInfluencesPerComponent()
+        indices, weights = (np.asarray(x).reshape(-1, width)[self.points].ravel() for x in influences)
+        normals = Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(self.values, np.float32))
+        inverse_transposes = Vt.Matrix3dArray(
+            [Gf.Matrix3d(*normal_matrix(joint).ravel().tolist()) for joint in joints]
+        )
+        bind = Gf.Matrix3d(*normal_matrix(query.GetGeomBindTransform(time)).ravel().tolist())
+        UsdSkel.SkinNormals(
+            query.GetSkinningMethod(),
+            bind,
+            inverse_transposes,
+            Vt.IntArray.FromNumpy(np.ascontiguousarray(indices, np.int32)),
+            Vt.FloatArray.FromNumpy(np.ascontiguousarray(weights, np.float32)),
+            width,
+            normals,
+        )
+        self.values = np.asarray(normals)
+
+    def transform(self, matrix: NDArray) -> None:
+        if self.values is not None:
+            self.values = normalized(self.values @ matrix)
+
+    def store(self, mesh: Mesh) -> None:
+        if self.values is not None:
+            values = np.ascontiguousarray(self.values, np.float32)
+            mesh["normals"] = {"interpolation": self.interpolation, "values": values}
+
+
+def normal_matrix(matrix: Gf.Matrix4d) -> NDArray:
+    """What normals as row vectors are multiplied with."""
+    return np.linalg.inv(np.array(matrix)[:3, :3]).T
+
+
+def normalized(vectors: NDArray) -> NDArray:
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return vectors / np.where(lengths > 0.0, lengths, 1.0)

@@ -1,0 +1,67 @@
+//! Which bodies are worth a cache of their own, and how many records each: by what the camera may see of them.
+
+use crate::guiding::Guide;
+use crate::scene::{Instance, Scene};
+use std::collections::HashMap;
+
+/// Of a body that has any: fewer than that know nothing.
+const LEAST_RECORDS: u32 = 256;
+
+/// Share of the records below which a body has none. It covers a few pixels: what walks teach about it comes too late, and
+/// among ten thousand of its kind the least of each would be more than all.
+const WORTH: f64 = 64.0;
+
+/// Whether a plan needs to know the boundary at `triangle`.
+pub(super) fn needs_records(guide: &Guide, instance: &Instance, triangle: u32) -> bool {
+    let surface = instance.surfaces + instance.geometry.slot(triangle) as u32;
+    guide.plan(surface).is_some_and(|(plan, _)| guide.must_know(plan))
+}
+
+/// Instances with the number of their records, out of `records` for all; and how many bodies are too small for any.
+pub(super) fn share_records(scene: &Scene, guide: &Guide, records: u32) -> (Vec<(u32, u32)>, usize) {
+    if !guide.plans.iter().flatten().any(|plan| guide.must_know(plan)) {
+        return (Vec::new(), 0);
+    }
+    let sizes = apparent_sizes(scene, guide);
+    let all: f64 = sizes.iter().map(|(_, size)| size).sum();
+    let of = |size: f64| f64::from(records) * size / all;
+    let large: Vec<(u32, u32)> = sizes
+        .iter()
+        .filter(|(_, size)| of(*size) >= WORTH)
+        .map(|&(instance, size)| (instance, (of(size) as u32).max(LEAST_RECORDS)))
+        .collect();
+    let small = sizes.len() - large.len();
+    (large, small)
+}
+
+/// Instances that need records, with their area over the squared distance from the camera, which is no nearer than the
+/// body is large.
+fn apparent_sizes(scene: &Scene, guide: &Guide) -> Vec<(u32, f64)> {
+    // Instances of one mesh share its area: a crowd costs a look at each, not at each triangle of each.
+    let mut areas: HashMap<u32, f64> = HashMap::new();
+    let mut sizes = Vec::new();
+    for (index, instance) in scene.instances.iter().enumerate() {
+        let area = *areas.entry(instance.surfaces).or_insert_with(|| object_area(guide, instance));
+        // Exact for similarities; of a stretched body it is good enough to share records by.
+        let scale = f64::from(instance.to_render.linear.determinant().abs()).powf(2.0 / 3.0);
+        let distance = instance.to_render.translation.length().max(instance.half_size().length());
+        let size = area * scale / f64::from(distance * distance).max(f64::MIN_POSITIVE);
+        if size > 0.0 {
+            sizes.push((index as u32, size));
+        }
+    }
+    sizes
+}
+
+/// Area of what needs records, object space.
+fn object_area(guide: &Guide, instance: &Instance) -> f64 {
+    let area = |triangle: u32| {
+        let [a, b, c] = instance.geometry.corners(triangle);
+        f64::from(0.5 * (b - a).cross(c - a).length())
+    };
+    if instance.geometry.slots.is_none() && !needs_records(guide, instance, 0) {
+        return 0.0; // most objects of most scenes: their triangles are not looked at one by one
+    }
+    let triangles = 0..instance.geometry.triangles.len() as u32;
+    triangles.filter(|&triangle| needs_records(guide, instance, triangle)).map(area).sum()
+}

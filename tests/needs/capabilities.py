@@ -1,0 +1,299 @@
+"""The rows of the table. One more is one more entry of CAPABILITIES, by the name that `dermis explain` has for it."""
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+from .stages import FACES, LAMP, OPAQUE, Stage, ball, material, medium
+
+
+@dataclass(frozen=True)
+class Compared:
+    """Two stages that differ in nothing but what is measured."""
+
+    what: str
+    """Of `having`."""
+    having: Stage
+    without: Stage
+    against: str
+    """What `without` is."""
+
+
+@dataclass(frozen=True)
+class Capability:
+    name: str
+    unused: Compared
+    """Declared on the stage, and of no effect."""
+    used: Compared
+
+
+#: The ball is opaque; nothing beside colour and alpha is asked for.
+PLAIN = Stage()
+against_plain = partial(Compared, without=PLAIN, against="an opaque ball, a rect light")
+
+#: The ball is a grey medium, lit, walked as `auto` decides: by the mixture.
+WAX = Stage(look=medium())
+CLASSICAL = replace(WAX, flags=(*WAX.flags, "--walk", "classical"))
+against_classical = partial(Compared, without=CLASSICAL, against="a grey medium, classical walks")
+
+DARK = replace(WAX, world="", flags=(*WAX.flags, "--disableCameraLight"))
+"""Media, and no light to walk to."""
+
+
+def setting(stage: Stage, *flags: str) -> Stage:
+    return replace(stage, flags=(*stage.flags, *flags))
+
+
+def hidden(look: str, stage: Stage = PLAIN) -> Stage:
+    """A material on a ball that is not rendered, and on the other one, where a subset of all faces wears its own."""
+    subset = f"""
+        def GeomSubset "All" (prepend apiSchemas = ["MaterialBindingAPI"])
+        {{
+            uniform token elementType = "face"
+            uniform token familyName = "materialBind"
+            int[] indices = {list(range(FACES))}
+            rel material:binding = </World/Look>
+        }}
+    """
+    invisible = ball("Hidden", "/World/Other", 'token visibility = "invisible"', 0.5)
+    world = stage.world + material("Other", look) + invisible
+    return replace(stage, world=world, ball=subset, worn="/World/Other")
+
+
+def unrendered(what: str, look: str, stage: Stage = PLAIN) -> Compared:
+    """`look` against an opaque or grey material on what is hidden."""
+    plain = OPAQUE if stage is PLAIN else stage.look
+    return Compared(
+        f"{what} on what is not rendered", hidden(look, stage), hidden(plain, stage), "an opaque or grey one"
+    )
+
+
+def light(kind: str, name: str, lines: str) -> str:
+    return f"""
+    def {kind} "{name}"
+    {{
+        {lines}
+    }}
+"""
+
+
+def lit(*prims: str, stage: Stage = PLAIN) -> Stage:
+    """With prims beside the lamp."""
+    return replace(stage, world=LAMP + "".join(prims))
+
+
+def glowing(intensity: float) -> str:
+    """A small ball beside the other one that is a light, or would be."""
+    shines = f"color3f inputs:color = (1, 1, 1)\n float inputs:intensity = {intensity}"
+    place = 'double3 xformOp:translate = (1.6, 0, 0)\n uniform token[] xformOpOrder = ["xformOp:translate"]'
+    mesh = ball("Glow", "/World/Look", f"{shines}\n {place}", 0.3)
+    return mesh.replace("MaterialBindingAPI", 'MaterialBindingAPI", "MeshLightAPI')
+
+
+def scattered(count: int) -> list[tuple[float, float, float]]:
+    """Places of small balls, on a helix."""
+    return [(0.9 * (i % 4 - 1.5), 0.9 * (i // 4 - 1.5), -0.2 * i) for i in range(count)]
+
+
+def copies(count: int) -> str:
+    """Balls, each a mesh of its own."""
+    placed = (
+        f'double3 xformOp:translate = {place}\n uniform token[] xformOpOrder = ["xformOp:translate"]'
+        for place in scattered(count)
+    )
+    return "".join(ball(f"Many{i}", "/World/Look", lines, 0.4) for i, lines in enumerate(placed))
+
+
+def instances(places: list[tuple[float, float, float]], name: str = "Many") -> str:
+    """The same by a PointInstancer."""
+    return f"""
+    def PointInstancer "{name}"
+    {{
+        point3f[] positions = {places}
+        int[] protoIndices = {[0] * len(places)}
+        rel prototypes = </World/{name}/Ball>
+        {ball("Ball", "/World/Look", radius=0.4)}
+    }}
+"""
+
+
+IMAGE = "asset inputs:texture:file = @image.hdr@"
+"""`driver.flatten` writes it beside the stage."""
+DOME = "float inputs:intensity = 0.5"
+INVISIBLE = 'token visibility = "invisible"'
+UNBOUND_IMAGE = """
+    def Material "Unbound"
+    {
+        token outputs:surface.connect = </World/Unbound/Surface.outputs:surface>
+        def Shader "Surface"
+        {
+            uniform token info:id = "UsdPreviewSurface"
+            color3f inputs:diffuseColor.connect = </World/Unbound/Image.outputs:rgb>
+            token outputs:surface
+        }
+        def Shader "Image"
+        {
+            uniform token info:id = "UsdUVTexture"
+            asset inputs:file = @image.hdr@
+            float3 outputs:rgb
+        }
+    }
+"""
+UNORDERED_VAR = """
+    def RenderVar "Normal"
+    {
+        uniform string sourceName = "normal"
+    }
+"""
+OPACITY = OPAQUE + "\n float inputs:opacity = 0.5"
+GLASS = medium("dielectric", more="float3 inputs:subsurfaceAlbedo = (0, 0, 0)\n float inputs:roughness = 0")
+AOVS = ("--set", "aovs=alpha,depth,normal,position,albedo,primId,direct,indirect,subsurface,variance")
+WALK_AOVS = ("--set", "aovs=slabNormal,entryAgreement,walkLength,region,cacheIrradiance,techniqueShares")
+PALE = (0.9, 0.8, 0.7)
+
+CAPABILITIES = (
+    Capability(
+        "subsurface walk",
+        unrendered("a medium", medium()),
+        against_plain("a grey medium, diffuse boundary, classical walks", CLASSICAL),
+    ),
+    Capability(
+        "spectral MIS",
+        unrendered("radii 1 : 2 : 4", medium("diffuse", PALE, (0.2, 0.1, 0.05)), CLASSICAL),
+        against_classical(
+            "radii 1 : 2 : 4, three colours",
+            replace(CLASSICAL, look=medium("diffuse", PALE, (0.2, 0.1, 0.05))),
+        ),
+    ),
+    Capability(
+        "anisotropic phase function",
+        against_classical(
+            "g = 0", replace(CLASSICAL, look=medium(more="float inputs:subsurfaceAnisotropy = 0"))
+        ),
+        against_classical(
+            "g = 0.5", replace(CLASSICAL, look=medium(more="float inputs:subsurfaceAnisotropy = 0.5"))
+        ),
+    ),
+    Capability(
+        "dielectric boundaries",
+        unrendered("one", medium("dielectric")),
+        against_classical("a rough dielectric boundary", replace(CLASSICAL, look=medium("dielectric"))),
+    ),
+    Capability(
+        "Beer-Lambert interiors",
+        unrendered("clear glass", GLASS),
+        against_plain("a ball of clear glass", replace(PLAIN, look=GLASS)),
+    ),
+    Capability(
+        "light at collisions",
+        unrendered("an index-matched medium", medium("indexMatched")),
+        against_classical("an index-matched boundary", replace(CLASSICAL, look=medium("indexMatched"))),
+    ),
+    Capability(
+        "guided walks",
+        Compared(
+            "walk=auto where nothing is lit",
+            DARK,
+            setting(DARK, "--walk", "classical"),
+            "the same with classical walks",
+        ),
+        against_classical("walk=auto: the mixture", WAX),
+    ),
+    Capability(
+        "learned shares",
+        Compared(
+            "on, with classical walks",
+            CLASSICAL,
+            setting(CLASSICAL, "--set", "learnShares=false"),
+            "learnShares=false",
+        ),
+        Compared(
+            "the mixture", WAX, setting(WAX, "--set", "learnShares=false"), "the mixture, learnShares=false"
+        ),
+    ),
+    Capability(
+        "control variates",
+        Compared(
+            "on, with classical walks",
+            CLASSICAL,
+            setting(CLASSICAL, "--set", "controlVariates=false"),
+            "controlVariates=false",
+        ),
+        Compared(
+            "the mixture",
+            WAX,
+            setting(WAX, "--set", "controlVariates=false"),
+            "the mixture, controlVariates=false",
+        ),
+    ),
+    Capability(
+        "transparent shadows",
+        unrendered("opacity 0.5", OPACITY),
+        against_plain("the ball has opacity 0.5", replace(PLAIN, look=OPACITY)),
+    ),
+    Capability(
+        "instancing",
+        Compared(
+            "a PointInstancer of one instance, one of none",
+            lit(instances(scattered(1)), instances([], "None")),
+            lit(copies(1)),
+            "a mesh",
+        ),
+        Compared("16 instances", lit(instances(scattered(16))), lit(copies(16)), "16 meshes"),
+    ),
+    Capability(
+        "mesh lights",
+        Compared(
+            "a MeshLightAPI of intensity 0",
+            lit(glowing(0.0)),
+            lit(glowing(5.0).replace(', "MeshLightAPI"', "")),
+            "the mesh alone",
+        ),
+        Compared(
+            "528 triangles that shine",
+            lit(glowing(5.0)),
+            lit(glowing(5.0).replace(', "MeshLightAPI"', "")),
+            "the mesh alone",
+        ),
+    ),
+    Capability(
+        "environment sampling",
+        against_plain(
+            "an invisible dome, and a black one",
+            lit(
+                light("DomeLight", "Off", INVISIBLE),
+                light("DomeLight", "Black", "float inputs:intensity = 0"),
+            ),
+        ),
+        against_plain("a plain dome beside the lamp", lit(light("DomeLight", "Sky", DOME))),
+    ),
+    Capability(
+        "textures",
+        against_plain(
+            "an image on an unbound material, and on an invisible dome",
+            lit(UNBOUND_IMAGE, light("DomeLight", "Off", f"{INVISIBLE}\n {IMAGE}")),
+        ),
+        Compared(
+            "a dome with an image of 64 x 32",
+            lit(light("DomeLight", "Sky", f"{DOME}\n {IMAGE}")),
+            lit(light("DomeLight", "Sky", DOME)),
+            "a plain dome",
+        ),
+    ),
+    Capability(
+        "depth of field",
+        against_plain("fStop 0", replace(PLAIN, camera="float focusDistance = 7\n float fStop = 0")),
+        against_plain("fStop 2.8", replace(PLAIN, camera="float focusDistance = 7\n float fStop = 2.8")),
+    ),
+    Capability(
+        "AOVs",
+        against_plain("a RenderVar that no product orders", lit(UNORDERED_VAR)),
+        against_plain("all of the default", replace(PLAIN, flags=AOVS)),
+    ),
+    Capability(
+        "AOVs of walks",
+        Compared(
+            "a RenderVar that no product orders", lit(UNORDERED_VAR, stage=WAX), WAX, "the mixture, no AOVs"
+        ),
+        Compared("all of them", replace(WAX, flags=WALK_AOVS), WAX, "the mixture, no AOVs"),
+    ),
+)

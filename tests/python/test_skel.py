@@ -1,0 +1,209 @@
+"""UsdSkel against usd-core's own baked result: the same stage, once as it is, once through UsdSkelBakeSkinning."""
+
+import numpy as np
+import pytest
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
+
+from dermis.stage import flatten
+
+HEIGHT = 8
+TIMES = (1.0, 3.5, 10.0)
+
+
+def tube(stage: Usd.Stage, path: str, interpolation: str | None) -> UsdGeom.Mesh:
+    """Four sides, HEIGHT segments; normals where `interpolation` is one."""
+    corners = np.array([(1, 0), (0, 1), (-1, 0), (0, -1)], float)
+    points = [(x, float(h), z) for h in range(HEIGHT + 1) for x, z in corners]
+    faces = [
+        (4 * h + s, 4 * h + 4 + s, 4 * h + 4 + (s + 1) % 4, 4 * h + (s + 1) % 4)
+        for h in range(HEIGHT)
+        for s in range(4)
+    ]
+    mesh = UsdGeom.Mesh.Define(stage, path)
+    mesh.CreatePointsAttr(points)
+    mesh.CreateFaceVertexCountsAttr([4] * len(faces))
+    mesh.CreateFaceVertexIndicesAttr(np.ravel(faces).tolist())
+    if interpolation:
+        mesh.CreateSubdivisionSchemeAttr("none")
+        normals = np.array([(x, 0.2, z) for x, _, z in points])
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        chosen = normals if interpolation == "vertex" else normals[np.ravel(faces)]
+        mesh.CreateNormalsAttr([tuple(n) for n in chosen])
+        mesh.SetNormalsInterpolation(interpolation)
+    return mesh
+
+
+def skeleton(stage: Usd.Stage, root: str) -> UsdSkel.Skeleton:
+    skel = UsdSkel.Skeleton.Define(stage, f"{root}/Skel")
+    skel.CreateJointsAttr(["hip", "hip/knee"])
+    skel.CreateBindTransformsAttr([Gf.Matrix4d(1.0), Gf.Matrix4d().SetTranslate((0, 4, 0))])
+    skel.CreateRestTransformsAttr([Gf.Matrix4d(1.0), Gf.Matrix4d().SetTranslate((0, 4, 0))])
+    UsdGeom.Xformable(skel).AddTranslateOp().Set((0.5, 0, 0.25))
+    return skel
+
+
+def animation(stage: Usd.Stage, path: str, degrees: float) -> UsdSkel.Animation:
+    anim = UsdSkel.Animation.Define(stage, path)
+    anim.CreateJointsAttr(["hip/knee", "hip"])
+    anim.CreateTranslationsAttr([(0, 4, 0), (0, 0, 0)])
+    anim.CreateScalesAttr([(1, 1.5, 1), (1, 1, 1)])
+    rotations = anim.CreateRotationsAttr()
+    for time, share in ((1.0, 0.0), (10.0, 1.0)):
+        turn = Gf.Quatf(Gf.Rotation((0, 0, 1), degrees * share).GetQuat())
+        rotations.Set([turn, Gf.Quatf(1.0)], time)
+    anim.CreateBlendShapesAttr(["bulge", "lean"])
+    weights = anim.CreateBlendShapeWeightsAttr()
+    weights.Set([0.0, 1.0], 1.0)
+    weights.Set([1.0, 0.25], 10.0)
+    return anim
+
+
+def influences(mesh: UsdGeom.Mesh) -> UsdSkel.BindingAPI:
+    """Two joints a point, from the first at the foot to the second at the head."""
+    binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
+    share = np.repeat(np.linspace(0, 1, HEIGHT + 1), 4)
+    binding.CreateJointIndicesPrimvar(False, 2).Set([0, 1] * len(share))
+    binding.CreateJointWeightsPrimvar(False, 2).Set(np.stack([1 - share, share], 1).ravel().tolist())
+    binding.CreateGeomBindTransformAttr(Gf.Matrix4d().SetScale((1.0, 1.0, 0.5)))
+    return binding
+
+
+def shapes(stage: Usd.Stage, mesh: UsdGeom.Mesh) -> None:
+    binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
+    path = mesh.GetPath()
+    bulge = UsdSkel.BlendShape.Define(stage, path.AppendChild("Bulge"))
+    bulge.CreateOffsetsAttr([(0, 0, 0.5), (0.25, 0, 0)])
+    bulge.CreateNormalOffsetsAttr([(0, 0, 0.2), (0, -0.3, 0)])
+    bulge.CreatePointIndicesAttr([9, 16])
+    between = bulge.CreateInbetween("half")
+    between.SetWeight(0.5)
+    between.SetOffsets([(0, 0, 2.0), (0.5, 0, 0)])
+    lean = UsdSkel.BlendShape.Define(stage, path.AppendChild("Lean"))
+    lean.CreateOffsetsAttr([(0.1 * h, 0, 0) for h in range(HEIGHT + 1) for _ in range(4)])
+    binding.CreateBlendShapesAttr(["lean", "bulge"])
+    binding.CreateBlendShapeTargetsRel().SetTargets([lean.GetPath(), bulge.GetPath()])
+
+
+def character(
+    stage: Usd.Stage, root: str = "/World/Hero", interpolation: str | None = None, shaped: bool = False
+):
+    skel_root = UsdSkel.Root.Define(stage, root)
+    UsdGeom.Xformable(skel_root).AddRotateYOp().Set(30.0)
+    skel = skeleton(stage, root)
+    anim = animation(stage, f"{root}/Anim", 70.0)
+    UsdSkel.BindingAPI.Apply(skel.GetPrim()).CreateAnimationSourceRel().SetTargets([anim.GetPath()])
+    mesh = tube(stage, f"{root}/Body", interpolation)
+    UsdGeom.Xformable(mesh).AddScaleOp().Set((2.0, 1.0, 1.0))
+    influences(mesh).CreateSkeletonRel().SetTargets([skel.GetPath()])
+    if shaped:
+        shapes(stage, mesh)
+    return mesh
+
+
+def new_stage() -> Usd.Stage:
+    stage = Usd.Stage.CreateInMemory()
+    stage.SetStartTimeCode(1)
+    stage.SetEndTimeCode(10)
+    return stage
+
+
+def placed(stage: Usd.Stage, time: float, path: str) -> tuple[np.ndarray, np.ndarray | None]:
+    """World points and normals of a mesh as dermis flattens it."""
+    flat = flatten(stage, time)
+    assert not flat.warnings, flat.warnings
+    mesh = flat.prims[path]
+    matrix = np.array(mesh["transform"])
+    points = mesh["points"] @ matrix[:3, :3] + matrix[3, :3]
+    if "normals" not in mesh:
+        return points, None
+    values = mesh["normals"]["values"]
+    normals = (
+        values[mesh["normals"]["indices"]] if "indices" in mesh["normals"] else values
+    ) @ np.linalg.inv(matrix[:3, :3]).T
+    return points, normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+
+def baked(stage: Usd.Stage) -> Usd.Stage:
+    copy = Usd.Stage.Open(stage.Flatten())
+    assert UsdSkel.BakeSkinning(copy.Traverse(), Gf.Interval(1.0, 10.0))
+    return copy
+
+
+@pytest.mark.parametrize("method", ["classicLinear", "dualQuaternion"])
+@pytest.mark.parametrize("shaped", [False, True])
+@pytest.mark.parametrize("interpolation", [None, "vertex", "faceVarying"])
+def test_skinning_is_that_of_usd(interpolation, shaped, method):
+    stage = new_stage()
+    mesh = character(stage, interpolation=interpolation, shaped=shaped)
+    UsdSkel.BindingAPI(mesh.GetPrim()).CreateSkinningMethodAttr(method)
+    # Baking writes samples where the skeleton has them; between them it is interpolated, which skinning is not.
+    for time in (1.0, 10.0):
+        points, normals = placed(stage, time, "/World/Hero/Body")
+        expected, expected_normals = placed(baked(stage), time, "/World/Hero/Body")
+        np.testing.assert_allclose(points, expected, atol=2e-5)
+        if interpolation:
+            np.testing.assert_allclose(normals, expected_normals, atol=2e-4)
+    rest = np.asarray(mesh.GetPointsAttr().Get())
+    assert np.abs(flatten(stage, 10.0).prims["/World/Hero/Body"]["points"] - rest).max() > 0.5
+
+
+def test_between_samples_the_rotation_is_interpolated_not_the_points():
+    stage = new_stage()
+    character(stage)
+    at = {time: placed(stage, time, "/World/Hero/Body")[0] for time in (1.0, 5.5, 10.0)}
+    lengths = [np.linalg.norm(points[-4:] - points[16:20], axis=1) for points in at.values()]
+    assert np.abs((at[1.0] + at[10.0]) / 2.0 - at[5.5]).max() > 0.1
+    np.testing.assert_allclose(lengths[0], lengths[1], rtol=0.3)
+
+
+def test_a_rigid_mesh_moves_with_its_joint():
+    stage = new_stage()
+    character(stage)
+    hat = tube(stage, "/World/Hero/Hat", "vertex")
+    binding = UsdSkel.BindingAPI.Apply(hat.GetPrim())
+    binding.SetRigidJointInfluence(1)
+    binding.CreateSkeletonRel().SetTargets([Sdf.Path("/World/Hero/Skel")])
+    for time in (1.0, 10.0):
+        points, normals = placed(stage, time, "/World/Hero/Hat")
+        expected, expected_normals = placed(baked(stage), time, "/World/Hero/Hat")
+        np.testing.assert_allclose(points, expected, atol=2e-5)
+        np.testing.assert_allclose(normals, expected_normals, atol=2e-4)
+
+
+def test_instances_that_share_a_skeleton_have_their_own_animations():
+    stage = new_stage()
+    character(stage, "/Asset")
+    stage.GetPrimAtPath("/Asset").SetSpecifier(Sdf.SpecifierClass)
+    stage.GetPrimAtPath("/Asset/Skel").GetRelationship("skel:animationSource").ClearTargets(True)
+    animations = [animation(stage, f"/Moves/m{i}", degrees) for i, degrees in enumerate((0.0, 80.0))]
+    for i, anim in enumerate((0, 1, 1)):
+        prim = stage.DefinePrim(f"/World/i{i}")
+        prim.GetReferences().AddInternalReference("/Asset")
+        prim.SetInstanceable(True)
+        binding = UsdSkel.BindingAPI.Apply(prim)
+        binding.CreateAnimationSourceRel().SetTargets([animations[anim].GetPath()])
+    flat = flatten(stage, 10.0)
+    meshes = {path: prim for path, prim in flat.prims.items() if prim["type"] == "Mesh"}
+    assert sorted(meshes) == ["/World/i0/Body", "/World/i1/Body"]
+    assert np.abs(meshes["/World/i0/Body"]["points"] - meshes["/World/i1/Body"]["points"]).max() > 0.5
+    assert len(flat.prims["/World/i1.instances"]["transforms"]) == 2
+
+
+def test_a_mesh_outside_a_skel_root_stays_at_rest():
+    stage = new_stage()
+    character(stage)
+    stage.GetPrimAtPath("/World/Hero").SetTypeName("Xform")
+    rest = UsdGeom.Mesh.Get(stage, "/World/Hero/Body").GetPointsAttr().Get()
+    np.testing.assert_array_equal(flatten(stage, 10.0).prims["/World/Hero/Body"]["points"], rest)
+
+
+def test_what_does_not_fit_is_named_and_the_mesh_stays_at_rest():
+    stage = new_stage()
+    mesh = character(stage)
+    UsdSkel.BindingAPI(mesh.GetPrim()).GetJointIndicesPrimvar().Set([0, 1])
+    UsdSkel.BindingAPI(mesh.GetPrim()).GetJointWeightsPrimvar().Set([0.5, 0.5])
+    flat = flatten(stage, 10.0)
+    np.testing.assert_array_equal(flat.prims["/World/Hero/Body"]["points"], mesh.GetPointsAttr().Get())
+    assert [(path, "jointIndices" in message) for path, message in flat.warnings] == [
+        ("/World/Hero/Body", True)
+    ]
