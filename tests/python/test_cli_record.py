@@ -434,6 +434,47 @@ def test_a_flattened_file_is_refined_as_asked(stage, tmp_path, capsys):
         assert f"Subdivision surfaces at level {level}: 1," in capsys.readouterr().out
 
 
+WAX = """
+    def Material "Wax"
+    {
+        token outputs:surface.connect = </World/Wax/Surface.outputs:surface>
+        def Shader "Surface"
+        {
+            uniform token info:id = "UsdPreviewSurface"
+            float inputs:subsurface = 1
+            color3f inputs:subsurfaceRadius = (0.1, 0.05, 0.02)
+            token outputs:surface
+        }
+    }
+"""
+ROPE = """
+    def BasisCurves "Rope" (prepend apiSchemas = ["MaterialBindingAPI"])
+    {
+        uniform token type = "cubic"
+        uniform token basis = "bspline"
+        uniform token wrap = "%s"
+        int[] curveVertexCounts = [4]
+        point3f[] points = [(-1, 0, 0), (0, 1, 0.5), (1, 0, 0), (0, -1, -0.5)]
+        float[] widths = [0.4] (
+            interpolation = "constant"
+        )
+        rel material:binding = </World/Wax>
+    }
+"""
+
+
+@pytest.mark.parametrize("body", ["surface", "periodic", "pinned"])
+def test_walks_stay_within_what_was_tessellated(stage, tmp_path, body):
+    """Refined surfaces and tubes are closed: no walk under them leaks, no edge is open."""
+    worn = BALL.replace('"Ball"', '"Ball" (prepend apiSchemas = ["MaterialBindingAPI"])')
+    worn = worn.replace("    }\n", "        rel material:binding = </World/Wax>\n    }\n")
+    file = stage(worn if body == "surface" else ROPE % body, WAX, CAMERA, DOME)
+    flags = ("-w", "48", "--samples", "8", "-c", "high", "--stats", tmp_path / "s.json")
+    assert run("record", file, tmp_path / "a.exr", *flags) == 0
+    stats = json.loads((tmp_path / "s.json").read_text())
+    assert stats["walks"] > 1000 and stats["walks_leaked"] == 0 and stats["warnings"] == []
+
+
 CREASES = """        int[] creaseIndices = [0, 7]
         int[] creaseLengths = [2]
         float[] creaseSharpnesses = [2]
