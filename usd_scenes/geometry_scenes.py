@@ -106,11 +106,11 @@ def subdivision() -> None:
     loop = cage(stage, "/World/Loop", octahedron, [3] * 8, triangles)
     loop.CreateSubdivisionSchemeAttr("loop")
     crease(loop, [[0, 1, 2, 3, 0]], [2.0])
-    place(loop, 3.4, 0.9, 2.4)
+    place(loop, 3.1, 0.9, 2.2)
     plain = cage(stage, "/World/Cage", CUBE, [4] * 6, CUBE_FACES)
     UsdGeom.PrimvarsAPI(plain).CreatePrimvar("dermis:refineLevel", Sdf.ValueTypeNames.Int).Set(0)
-    plain.AddScaleOp().Set((0.6, 0.6, 0.6))
-    plain.AddTranslateOp().Set((8.0, 1.0, 3.0))
+    plain.AddScaleOp().Set((0.45, 0.45, 0.45))
+    plain.AddTranslateOp().Set((10.2, 1.0, 5.5))
     stage.Save()
 
 
@@ -138,7 +138,7 @@ def curves() -> None:
         kind = {"type": "linear"} if basis == "linear" else {"basis": basis}
         rope = curves_prim(stage, f"/World/{basis}", [7], zigzag, [0.25], wrap=wrap, **kind)
         rope.CreateDisplayColorAttr([Gf.Vec3f(*SKIN)])
-        place(rope, -5.5 + 2.2 * i, 0.0, 0.0)
+        place(rope, -4.9 + 2.1 * i, 0.0, 0.0)
     circle = [
         Gf.Vec3f(math.cos(a), 0.25 * math.sin(3 * a) + 0.5, math.sin(a))
         for a in (k * math.pi / 4 for k in range(8))

@@ -1,8 +1,8 @@
 //! Subdivision surfaces: uniform refinement of a cage, then every vertex to its limit.
 //!
-//! [`cage`] reads the tags of UsdGeomMesh into the first level, [`topology`] splits faces, [`creases`] has the
-//! rules that all schemes share, [`catmull_clark`] and [`loop_scheme`] the smooth masks, [`limit`] the normals,
-//! [`face_varying`] turns seams into boundaries. The rules are OpenSubdiv's (uniform creasing); `tests/subdivision.rs`
+//! `cage` reads the tags of UsdGeomMesh into the first level, `topology` splits faces, `creases` has the
+//! rules that all schemes share, `catmull_clark` and `loop_scheme` the smooth masks, `limit` the normals,
+//! `face_varying` turns seams into boundaries. The rules are OpenSubdiv's (uniform creasing); `tests/subdivision.rs`
 //! compares with its values.
 //!
 //! A level has four times the faces of the one before. While a mesh is refined, all its levels are in memory: by the
