@@ -12,7 +12,7 @@ SOURCES := pyproject.toml Cargo.toml Cargo.lock \
 # pyo3 asks this interpreter for its build settings, also under clippy and rustdoc.
 export PYO3_PYTHON := $(CURDIR)/$(BIN)/python
 
-.PHONY: render test stability needs scaling bench-lights lint format clean
+.PHONY: render test stability needs scaling bench-lights bench-rays lint format clean
 .DELETE_ON_ERROR:
 
 render: $(INSTALLED)
@@ -40,6 +40,20 @@ scaling: $(TEST_INSTALLED)
 # Cost and efficiency against the number of lights, some minutes.
 bench-lights: $(TEST_INSTALLED)
 	$(BIN)/python tests/bench_lights.py
+
+# dermis beside Embree on the same rays, a few minutes. Embree comes with PyPI's embreex; scenes of ../shared where it is.
+RAY_SCENES := $(firstword $(wildcard ../shared/scenes/backlit_bunny.usda) usd_scenes/orc.usda) \
+    $(wildcard $(addprefix ../shared/scenes/,card_skull.usda creature_spot.usda envmap_dragon.usda))
+
+bench-rays: $(INSTALLED)
+	mkdir -p out/rays
+	for stage in $(RAY_SCENES); do \
+	    $(BIN)/dermis flatten $$stage out/rays/$$(basename $$stage .usda).dermis || exit 1; \
+	done
+	$(BIN)/python -m pip install --disable-pip-version-check --quiet 'embreex>=4.4,<5' || \
+	    echo "bench-rays: pip cannot install embreex here" >&2
+	cargo bench --bench rays -- --embree "$$(find $(VENV)/lib -name 'libembree4*' | head -n 1)" \
+	    $(foreach stage,$(RAY_SCENES),out/rays/$(basename $(notdir $(stage))).dermis)
 
 lint: $(TEST_INSTALLED)
 	cargo fmt --all --check

@@ -127,6 +127,12 @@ impl Camera {
         }
     }
 
+    /// Width of a pixel at the origin of its ray, stage units, and how much it grows per stage unit.
+    pub fn footprint(&self) -> (f32, f32) {
+        let pixel = self.window.y / self.resolution.y;
+        if self.orthographic { (pixel, 0.0) } else { (self.near * pixel, pixel) }
+    }
+
     /// Distance of a render-space point along the view axis.
     pub fn depth(&self, p: Vec3) -> f32 {
         -self.axes.z_axis.dot(p)

@@ -2,7 +2,7 @@
 
 use crate::bsdf::Side;
 use crate::math::{Frame, Rgb};
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 
 /// A surface point in render space.
 #[derive(Debug, Clone, Copy)]
@@ -19,6 +19,8 @@ pub struct Interaction {
     pub side: Side,
     pub instance: u32,
     pub triangle: u32,
+    /// Barycentrics on it: (1 - x - y, x, y).
+    pub barycentric: Vec2,
     /// Index of the surface in `Scene::surfaces`.
     pub surface: u32,
     /// Whether `wo` is on the side that the mesh's winding and orientation call front.

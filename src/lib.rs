@@ -9,7 +9,7 @@
 //! flat::FlatScene                      USD's words and units; validated once; one .dermis file
 //!    |  RenderDelegate::commit() -> scene::compile (subdivision: from cages to limit surfaces)
 //!    v
-//! scene::Scene                         immutable: BVHs, instances, surfaces, media, lights, Needs
+//! scene::Scene                         immutable: BVHs, instances, images, surfaces, media, lights, Needs
 //!    |  render::render: passes over tiles
 //!    |     integrator::trace: surfaces, next-event estimation, passage of media
 //!    |        subsurface::walk: from boundary to boundary

@@ -466,7 +466,7 @@ fn opacity_follows_its_mode() {
     let with = |mode: &str, threshold: f32, opacity: f32| {
         preview(PreviewSurface {
             opacity,
-            opacity_mode: mode.into(),
+            opacity_mode: mode.to_owned().into(),
             opacity_threshold: threshold,
             ..Default::default()
         })

@@ -13,7 +13,7 @@ fn white(boundary: &str, roughness: f32, g: f32, radius: [f32; 3]) -> Material {
         subsurface_color: [1.0; 3],
         subsurface_radius: radius,
         subsurface_anisotropy: g,
-        subsurface_boundary: boundary.into(),
+        subsurface_boundary: boundary.to_owned().into(),
         roughness,
         ior: 1.4,
         ..PreviewSurface::default()

@@ -32,7 +32,7 @@ fn medium(boundary: &str, albedo: [f32; 3], radius: [f32; 3], g: f32, roughness:
         subsurface_albedo: Some(albedo),
         subsurface_radius: radius,
         subsurface_anisotropy: g,
-        subsurface_boundary: boundary.into(),
+        subsurface_boundary: boundary.to_owned().into(),
         ior: if boundary == "indexMatched" { 1.0 } else { 1.4 },
         roughness,
         ..PreviewSurface::default()

@@ -66,7 +66,7 @@ fn largest_z(a: &[f32], b: &[f32]) -> f64 {
 
 #[test]
 fn many_lights_give_the_picture_of_few() {
-    let medium = |boundary: &str| PreviewSurface {
+    let medium = |boundary: &'static str| PreviewSurface {
         subsurface: 1.0,
         subsurface_albedo: Some([0.95, 0.9, 0.8]),
         subsurface_radius: [0.2, 0.15, 0.1],

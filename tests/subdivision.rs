@@ -1,6 +1,6 @@
 //! Subdivision surfaces against OpenSubdiv's values (`tests/reference/make_subdivision.py`), and what must hold for any.
 
-use dermis::flat::{Array, Interpolation, Mesh, Orientation, Primvar, SubdivTags, array::Element};
+use dermis::flat::{AnyPrimvar, Array, Interpolation, Mesh, Orientation, Primvar, SubdivTags, array::Element};
 use dermis::subdivision::{Refined, refine};
 use glam::Vec3;
 use serde_json::Value;
@@ -44,8 +44,15 @@ fn mesh_of(cage: &Value) -> Mesh {
             corner_indices: array(&cage["cornerIndices"]),
             corner_sharpnesses: array(&cage["cornerSharpnesses"]),
         },
-        st: (!uv.is_empty()).then_some(st),
+        primvars: (!uv.is_empty()).then(|| ("st".into(), AnyPrimvar::Float2(st))).into_iter().collect(),
         ..Mesh::default()
+    }
+}
+
+fn st_of(mesh: &Mesh) -> Option<&Primvar<[f32; 2]>> {
+    match mesh.primvars.get("st")? {
+        AnyPrimvar::Float2(st) => Some(st),
+        other => panic!("{other:?}"),
     }
 }
 
@@ -102,7 +109,7 @@ fn differences(entry: &Value) -> Vec<String> {
                     wrong.push(format!("{name}: normal {got} at {}, not {normal}", theirs[i]));
                 }
             }
-            if let Some(st) = &made.mesh.st {
+            if let Some(st) = st_of(&made.mesh) {
                 let got = st.values[st.indices.as_ref().expect("indices")[corner] as usize];
                 let want = uv[uv_faces[reference]];
                 if (0..2).any(|k| (got[k] - want[k]).abs() > TOLERANCE) {
@@ -323,12 +330,14 @@ fn face_varying_values_without_indices_are_joined_where_equal() {
     let corner = |i: &i32| [mesh.points[*i as usize][0], mesh.points[*i as usize][1]];
     let values: Vec<[f32; 2]> = mesh.face_vertex_indices.iter().map(corner).collect();
     let indexed = mesh.points.iter().map(|p| [p[0], p[1]]).collect::<Vec<_>>();
-    let face_varying = Interpolation::FaceVarying;
-    mesh.st = Some(Primvar { interpolation: face_varying, values: values.into(), indices: None });
-    let plain = refined(&mesh, 2).mesh.st.expect("st");
-    let indices = mesh.face_vertex_indices.clone();
-    mesh.st = Some(Primvar { interpolation: face_varying, values: indexed.into(), indices: Some(indices) });
-    assert_eq!(plain, refined(&mesh, 2).mesh.st.expect("st"));
+    let (face_varying, indices) = (Interpolation::FaceVarying, mesh.face_vertex_indices.clone());
+    let mut with = |values: Vec<[f32; 2]>, indices| {
+        let st = Primvar { interpolation: face_varying, values: values.into(), indices };
+        mesh.primvars.insert("st".into(), AnyPrimvar::Float2(st));
+        st_of(&refined(&mesh, 2).mesh).expect("st").clone()
+    };
+    let plain = with(values, None);
+    assert_eq!(plain, with(indexed, Some(indices)));
 }
 
 /// Of tags that cannot be used each is named, and the surface is there without them.

@@ -16,7 +16,7 @@ fn medium(boundary: &str, albedo: [f32; 3], radius: [f32; 3]) -> Material {
         subsurface: 1.0,
         subsurface_albedo: Some(albedo),
         subsurface_radius: radius,
-        subsurface_boundary: boundary.into(),
+        subsurface_boundary: boundary.to_owned().into(),
         ior: if boundary == "indexMatched" { 1.0 } else { 1.4 },
         roughness: 0.3,
         ..PreviewSurface::default()

@@ -162,7 +162,15 @@ fn any_array(array: &Bound<'_, PyAny>) -> PyResult<AnyArray> {
         let (values, components) = flatten(&values)?;
         return Ok(AnyArray::F64(values, components));
     }
-    Err(PyTypeError::new_err("arrays must be numpy arrays of float32, int32 or float64"))
+    if let Ok(values) = array.extract::<PyReadonlyArrayDyn<'_, u8>>() {
+        let (values, components) = flatten(&values)?;
+        return Ok(AnyArray::U8(values, components));
+    }
+    if let Ok(values) = array.extract::<PyReadonlyArrayDyn<'_, u16>>() {
+        let (values, components) = flatten(&values)?;
+        return Ok(AnyArray::U16(values, components));
+    }
+    Err(PyTypeError::new_err("arrays must be numpy arrays of float32, int32, float64, uint8 or uint16"))
 }
 
 /// The single-scattering albedo that shows `color` behind a boundary; see [`dermis::subsurface::inversion`].

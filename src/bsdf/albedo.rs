@@ -1,7 +1,7 @@
 //! Directional albedos of microfacet lobes, by quadrature, tabulated over the cosine for one roughness and index.
 //!
 //! A surface computes its few curves once when it is compiled (2 ms for a reflection, 10 ms for an interface), so nothing is
-//! interpolated over roughness or index.
+//! interpolated over roughness or index, unless these are driven (`curves`).
 
 use super::fresnel::{dielectric, reflect, refract};
 use super::ggx::{Ggx, Masking};
@@ -30,6 +30,11 @@ pub struct Curve {
 impl Curve {
     pub const ONE: Self = Self { nodes: [1.0; NODES] };
     pub const ZERO: Self = Self { nodes: [0.0; NODES] };
+
+    /// Between this (x = 0) and another.
+    pub fn lerp(&self, other: &Self, x: f32) -> Self {
+        Self { nodes: std::array::from_fn(|i| self.nodes[i] + (other.nodes[i] - self.nodes[i]) * x) }
+    }
 
     pub fn tabulate(f: impl Fn(f32) -> f32) -> Self {
         let nodes = std::array::from_fn(|i| {

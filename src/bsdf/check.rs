@@ -13,12 +13,15 @@ const MAX_ANISOTROPY: f32 = 0.99;
 /// Collects the warnings of one material.
 pub struct Check<'a> {
     pub prim: &'a str,
-    pub warnings: &'a mut Vec<Warning>,
+    /// `None`: nobody listens, and nothing is put into words.
+    pub warnings: Option<&'a mut Vec<Warning>>,
 }
 
 impl Check<'_> {
-    pub fn warn(&mut self, message: String) {
-        self.warnings.push(Warning::new(self.prim, message));
+    pub fn warn(&mut self, message: impl FnOnce() -> String) {
+        if let Some(warnings) = &mut self.warnings {
+            warnings.push(Warning::new(self.prim, message()));
+        }
     }
 
     /// In [lo, hi]; what is not finite becomes `default`.
@@ -57,12 +60,10 @@ impl Check<'_> {
         let finite = Vec3::select(value.is_finite_mask(), value, default);
         let used = finite.clamp(Vec3::splat(lo), Vec3::splat(hi));
         if used != value {
-            self.warn(format!(
-                "inputs:{name} is {}, allowed is {}; {} is used",
-                show(value),
-                limits(lo, hi),
-                show(used)
-            ));
+            self.warn(|| {
+                let allowed = limits(lo, hi);
+                format!("inputs:{name} is {}, allowed is {allowed}; {} is used", show(value), show(used))
+            });
         }
         used
     }

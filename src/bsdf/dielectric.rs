@@ -4,8 +4,9 @@
 //! factor 1 / eta^2 (Veach 1997, section 5.2): entering glass divides by n^2, leaving multiplies by it.
 
 use super::albedo::Curve;
+use super::curves::{Curves, Key, Of};
 use super::fresnel::{dielectric, reflect, refract};
-use super::ggx::{Ggx, SMOOTH_ALPHA};
+use super::ggx::{Ggx, Masking, SMOOTH_ALPHA};
 use crate::math::Rgb;
 use glam::{Vec2, Vec3};
 
@@ -121,11 +122,17 @@ pub struct Interface {
 }
 
 impl Interface {
-    pub fn new(eta: f32, alpha: f32, reflect_tint: Rgb, transmit_tint: Rgb) -> Self {
-        let albedo = |eta: f32| {
-            if is_smooth(alpha, eta) { Curve::ONE } else { Curve::interface(Ggx { alpha }, eta) }
+    pub fn new(eta: f32, alpha: f32, reflect_tint: Rgb, transmit_tint: Rgb, curves: &mut Curves) -> Self {
+        let mut albedo = |eta: f32| {
+            let key = Key { of: Of::Interface, masking: Masking::Smith, alpha, eta };
+            if is_smooth(alpha, eta) { Curve::ONE } else { curves.get(key) }
         };
         Self { eta, alpha, reflect_tint, transmit_tint, albedo_outside: albedo(eta), albedo_inside: albedo(1.0 / eta) }
+    }
+
+    /// True when it refracts into single directions.
+    pub fn is_smooth(&self) -> bool {
+        is_smooth(self.alpha, self.eta)
     }
 
     /// As seen from outside at the cosine `mu`.

@@ -79,11 +79,11 @@ const SHORTEST: f32 = 1e-4;
 pub fn subsurface_radius(radius: Rgb, name: &str, check: &mut Check) -> Option<Rgb> {
     let floor = SHORTEST * radius.max_element();
     if floor == 0.0 {
-        check.warn(format!("{name} is 0 in every channel: shaded as a diffuse surface of the subsurface colour"));
+        check.warn(|| format!("{name} is 0 in every channel: shaded as a diffuse surface of the subsurface colour"));
         return None;
     }
     if radius.min_element() < floor {
-        check.warn(format!("{name} {radius} has a channel below {SHORTEST} of the longest; {floor} is used there"));
+        check.warn(|| format!("{name} {radius} has a channel below {SHORTEST} of the longest; {floor} is used there"));
     }
     Some(radius.max(Rgb::splat(floor)))
 }

@@ -5,6 +5,7 @@
 //! where `|` is a mixture by area. Beneath the specular lobe everything has 1 - E(wo).
 
 use super::Bsdf;
+use super::curves::Curves;
 use super::dielectric::Interface;
 use super::diffuse::Diffuse;
 use super::fresnel::Fresnel;
@@ -72,7 +73,7 @@ pub struct Layered {
 }
 
 impl Layered {
-    pub fn new(d: &Description) -> Self {
+    pub fn new(d: &Description, curves: &mut Curves) -> Self {
         let share = d.medium.map_or(0.0, |m| m.share);
         let boundary = d.medium.map(|m| m.interior.boundary);
         let entry = match boundary {
@@ -82,16 +83,16 @@ impl Layered {
         };
         let interface = d.medium.filter(|m| m.interior.boundary == Boundary::Dielectric).map(|m| {
             let Interior { eta, alpha, .. } = m.interior;
-            (m.share, Interface::new(eta, alpha, d.specular_tint, m.transmit_tint))
+            (m.share, Interface::new(eta, alpha, d.specular_tint, m.transmit_tint, curves))
         });
         // An interface everywhere leaves nothing to wear a lobe of its own.
         let bare =
             boundary == Some(Boundary::IndexMatched) || interface.is_some_and(|(share, _)| share * d.opacity == 1.0);
         let has_specular = d.specular_weight > 0.0 && !bare;
         Self {
-            metal: (d.metalness > 0.0).then(|| (d.metalness, Specular::new(d.alpha, d.metal, Masking::Smith))),
+            metal: (d.metalness > 0.0).then(|| (d.metalness, Specular::new(d.alpha, d.metal, Masking::Smith, curves))),
             interface,
-            specular: has_specular.then(|| Specular::new(d.alpha, d.specular, Masking::Smith)),
+            specular: has_specular.then(|| Specular::new(d.alpha, d.specular, Masking::Smith, curves)),
             specular_weight: d.specular_weight,
             specular_tint: d.specular_tint,
             diffuse: d.diffuse,

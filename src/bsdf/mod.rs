@@ -8,6 +8,7 @@
 
 mod albedo;
 mod check;
+mod curves;
 mod dielectric;
 mod diffuse;
 pub mod fresnel;
@@ -23,7 +24,7 @@ mod surface;
 mod translucent;
 
 pub use interior::{Boundary, Interior, InteriorAlbedo};
-pub use surface::Surface;
+pub use surface::{NotedCurves, OfMesh, Surface};
 
 use crate::math::{Rgb, mean};
 use glam::{Vec2, Vec3};

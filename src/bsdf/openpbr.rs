@@ -7,6 +7,7 @@
 //! with transmission, the subsurface share is Lambertian.
 
 use super::check::Check;
+use super::curves::Curves;
 use super::diffuse::Diffuse;
 use super::fresnel::{Fresnel, f0, modulated_eta};
 use super::ggx::Masking;
@@ -18,7 +19,12 @@ use super::translucent::{self, Shell, Transmission, translucent};
 use crate::flat::OpenPbrSurface;
 use crate::math::Rgb;
 
-pub fn compile(m: &OpenPbrSurface, boundary_override: Option<Boundary>, check: &mut Check) -> Surface {
+pub fn compile(
+    m: &OpenPbrSurface,
+    boundary_override: Option<Boundary>,
+    curves: &mut Curves,
+    check: &mut Check,
+) -> Surface {
     let coat_weight = check.unit("coat_weight", m.coat_weight, 0.0);
     let coat_color = check.color("coat_color", m.coat_color, 1.0);
     let coat_roughness = check.unit("coat_roughness", m.coat_roughness, 0.0);
@@ -28,7 +34,7 @@ pub fn compile(m: &OpenPbrSurface, boundary_override: Option<Boundary>, check: &
 
     let coat = Coat::new(coat_weight, coat_color, || {
         let fresnel = Fresnel::Dielectric { eta: coat_ior };
-        Specular::new(coat_roughness * coat_roughness, fresnel, Masking::Smith)
+        Specular::new(coat_roughness * coat_roughness, fresnel, Masking::Smith, curves)
     });
     let description = describe(m, [coat_weight, coat_roughness, coat_ior], boundary_override, check);
     Surface {
@@ -36,7 +42,7 @@ pub fn compile(m: &OpenPbrSurface, boundary_override: Option<Boundary>, check: &
         color: description.color(),
         presence: check.unit("geometry_opacity", m.geometry_opacity, 1.0),
         coat,
-        base: Base::Layered(Layered::new(&description)),
+        base: Base::Layered(Layered::new(&description, curves)),
         interior: description.medium.map(|medium| medium.interior),
         takes_display_color: false,
     }
@@ -94,7 +100,8 @@ fn medium(m: &OpenPbrSurface, shell: Shell, check: &mut Check) -> (Option<Medium
     let stand_in = ((1.0 - transmission) * subsurface, color);
     if transmission > 0.0 {
         if stand_in.0 > 0.0 {
-            check.warn("transmission_weight and subsurface_weight: subsurface is shaded as diffuse beside it".into());
+            check
+                .warn(|| "transmission_weight and subsurface_weight: subsurface is shaded as diffuse beside it".into());
         }
         let inputs = Transmission {
             color: m.transmission_color,

@@ -13,6 +13,7 @@
 use super::Bsdf;
 use super::albedo::{Curve, cosine_mean};
 use super::check::Check;
+use super::curves::Curves;
 use super::diffuse::Diffuse;
 use super::fresnel::{Fresnel, f0, schlick_weight};
 use super::ggx::Masking;
@@ -23,9 +24,13 @@ use super::specular::Specular;
 use super::surface::{Base, Coat, Surface};
 use crate::flat::PreviewSurface;
 use crate::math::Rgb;
+use std::sync::LazyLock;
 
 /// Storm's floor of both roughnesses.
 const MIN_ROUGHNESS: f32 = 0.001;
+
+/// Mean of 1 - F(wo . h) over a cosine-weighted hemisphere, for F0 = 0 and F90 = 1.
+static BELOW: LazyLock<Curve> = LazyLock::new(|| Curve::tabulate(|mu| 1.0 - cosine_mean(mu, schlick_weight)));
 
 /// The base without a medium: one specular lobe and Storm's diffuse.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -33,19 +38,16 @@ pub struct Storm {
     specular: Specular,
     fresnel: Fresnel,
     rho: Rgb,
-    /// Mean of 1 - F(wo . h) over a cosine-weighted hemisphere, for F0 = 0 and F90 = 1.
-    below: Curve,
     f0: Rgb,
     f90: Rgb,
     opacity: f32,
 }
 
 impl Storm {
-    fn new(alpha: f32, f0: Rgb, f90: Rgb, rho: Rgb, opacity: f32) -> Self {
+    fn new(alpha: f32, f0: Rgb, f90: Rgb, rho: Rgb, opacity: f32, curves: &mut Curves) -> Self {
         let fresnel = Fresnel::Schlick { f0, f90 };
-        let specular = Specular::new(alpha, fresnel, Masking::Storm);
-        let below = Curve::tabulate(|mu| 1.0 - cosine_mean(mu, schlick_weight));
-        Self { specular, fresnel, rho, below, f0, f90, opacity }
+        let specular = Specular::new(alpha, fresnel, Masking::Storm, curves);
+        Self { specular, fresnel, rho, f0, f90, opacity }
     }
 
     pub fn with_rho(&self, rho: Rgb) -> Self {
@@ -65,7 +67,7 @@ impl Storm {
     }
 
     fn diffuse_albedo(&self, mu: f32) -> Rgb {
-        let grazing = 1.0 - self.below.at(mu);
+        let grazing = 1.0 - BELOW.at(mu);
         self.rho * (Rgb::ONE - self.f0.lerp(self.f90, grazing))
     }
 
@@ -92,6 +94,7 @@ pub fn compile(
     display_color: Option<Rgb>,
     display_opacity: f32,
     boundary_override: Option<Boundary>,
+    curves: &mut Curves,
     check: &mut Check,
 ) -> Surface {
     let inputs = Inputs::new(m, display_color, display_opacity, check);
@@ -99,20 +102,21 @@ pub fn compile(
     let clearcoat = check.unit("clearcoat", m.clearcoat, 0.0);
     let coat_roughness = check.unit("clearcoatRoughness", m.clearcoat_roughness, 0.01).max(MIN_ROUGHNESS);
     let coat_fresnel = Fresnel::Schlick { f0: Rgb::splat(f0(inputs.ior)), f90: Rgb::ONE };
-    let coat =
-        Coat::new(clearcoat, Rgb::ONE, || Specular::new(coat_roughness * coat_roughness, coat_fresnel, Masking::Storm));
+    let coat = Coat::new(clearcoat, Rgb::ONE, || {
+        Specular::new(coat_roughness * coat_roughness, coat_fresnel, Masking::Storm, curves)
+    });
     let emission = check.radiance("emissiveColor", m.emissive_color, Rgb::ZERO);
     let mut surface = Surface {
         emission,
         color: inputs.diffuse_color,
         presence: inputs.presence,
         coat,
-        base: Base::Storm(inputs.storm()),
+        base: Base::Storm(inputs.storm(curves)),
         interior: None,
         takes_display_color: m.diffuse_color.is_none() && m.metallic == 0.0,
     };
     if subsurface > 0.0 {
-        add_medium(&mut surface, m, &inputs, subsurface, boundary_override, check);
+        add_medium(&mut surface, m, &inputs, subsurface, boundary_override, curves, check);
     }
     surface
 }
@@ -124,6 +128,7 @@ fn add_medium(
     inputs: &Inputs,
     share: f32,
     boundary_override: Option<Boundary>,
+    curves: &mut Curves,
     check: &mut Check,
 ) {
     let color = check.color("subsurfaceColor", m.subsurface_color, 0.8);
@@ -143,7 +148,7 @@ fn add_medium(
         opacity: inputs.opacity,
     };
     surface.color = description.color();
-    surface.base = Base::Layered(Layered::new(&description));
+    surface.base = Base::Layered(Layered::new(&description, curves));
 }
 
 /// The medium of dermis' subsurface inputs; `None` where its mean free path is 0.
@@ -159,7 +164,7 @@ fn interior(
     let g = check.anisotropy("subsurfaceAnisotropy", m.subsurface_anisotropy);
     let single = m.subsurface_albedo.map(|albedo| check.color("subsurfaceAlbedo", albedo, 0.8));
     let authored = Boundary::from_token(&m.subsurface_boundary).unwrap_or_else(|| {
-        check.warn(format!("inputs:subsurfaceBoundary `{}` is unknown; `diffuse` is used", m.subsurface_boundary));
+        check.warn(|| format!("inputs:subsurfaceBoundary `{}` is unknown; `diffuse` is used", m.subsurface_boundary));
         Boundary::Diffuse
     });
     let radius = subsurface_radius(radius * scale, "inputs:subsurfaceRadius * inputs:subsurfaceScale", check)?;
@@ -197,7 +202,7 @@ impl Inputs {
     }
 
     /// Storm: `evaluateLight`.
-    fn storm(&self) -> Storm {
+    fn storm(&self, curves: &mut Curves) -> Storm {
         let (f0, f90, rho) = if self.specular_workflow {
             (self.specular_color, Rgb::ONE, self.diffuse_color)
         } else {
@@ -205,7 +210,7 @@ impl Inputs {
             let f0 = (f0(self.ior) * color).lerp(color, self.metallic);
             (f0, color, self.diffuse_color * (1.0 - self.metallic))
         };
-        Storm::new(self.alpha, f0, f90, rho, self.opacity)
+        Storm::new(self.alpha, f0, f90, rho, self.opacity, curves)
     }
 
     /// The specular lobe over a medium: exact, but for a `specularColor` there is only Schlick.
@@ -229,8 +234,8 @@ fn opacity(m: &PreviewSurface, display_opacity: f32, check: &mut Check) -> f32 {
 
 /// A threshold is a cut-out of everything, whatever the mode.
 fn is_presence(m: &PreviewSurface, check: &mut Check) -> bool {
-    if !matches!(m.opacity_mode.as_str(), "transparent" | "presence") {
-        check.warn(format!("inputs:opacityMode `{}` is unknown; `transparent` is used", m.opacity_mode));
+    if !matches!(&*m.opacity_mode, "transparent" | "presence") {
+        check.warn(|| format!("inputs:opacityMode `{}` is unknown; `transparent` is used", m.opacity_mode));
     }
     m.opacity_threshold > 0.0 || m.opacity_mode == "presence"
 }

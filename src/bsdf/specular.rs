@@ -1,7 +1,8 @@
 //! A compiled reflection lobe: roughness, Fresnel curve, and the directional albedo that layering needs.
 
 use super::albedo::Curve;
-use super::fresnel::{Fresnel, dielectric, schlick_weight};
+use super::curves::{Curves, Key, Of};
+use super::fresnel::Fresnel;
 use super::ggx::{Ggx, Glossy, Masking, SMOOTH_ALPHA};
 use super::lobe::Lobe;
 use crate::math::Rgb;
@@ -34,14 +35,14 @@ pub struct Specular {
 impl Specular {
     /// `alpha` is the square of the authored roughness; below [`SMOOTH_ALPHA`] the lobe is a mirror. Metals
     /// ([`Fresnel::F82`], [`Fresnel::Conductor`]) get back what facets scatter more than once.
-    pub fn new(alpha: f32, fresnel: Fresnel, masking: Masking) -> Self {
-        let curve = |f: &dyn Fn(f32) -> f32| Curve::reflection(Ggx { alpha }, masking, f);
+    pub fn new(alpha: f32, fresnel: Fresnel, masking: Masking, curves: &mut Curves) -> Self {
+        let mut curve = |of, eta| curves.get(Key { of, masking, alpha, eta });
         let albedo = match fresnel {
             _ if alpha < SMOOTH_ALPHA => Albedo::Smooth,
             Fresnel::Dielectric { eta: 1.0 } => Albedo::Dielectric(Curve::ZERO),
-            Fresnel::Dielectric { eta } => Albedo::Dielectric(curve(&|cos| dielectric(cos, eta))),
-            Fresnel::Schlick { .. } => Albedo::Schlick { full: curve(&|_| 1.0), grazing: curve(&schlick_weight) },
-            Fresnel::F82 { .. } | Fresnel::Conductor { .. } => Albedo::Metal { full: curve(&|_| 1.0) },
+            Fresnel::Dielectric { eta } => Albedo::Dielectric(curve(Of::Dielectric, eta)),
+            Fresnel::Schlick { .. } => Albedo::Schlick { full: curve(Of::Full, 1.0), grazing: curve(Of::Grazing, 1.0) },
+            Fresnel::F82 { .. } | Fresnel::Conductor { .. } => Albedo::Metal { full: curve(Of::Full, 1.0) },
         };
         Self { alpha, fresnel, masking, albedo }
     }

@@ -7,6 +7,7 @@
 //! its luminance. Left out: sheen, thin film, dispersion, anisotropy, `coat_affect_*`.
 
 use super::check::Check;
+use super::curves::Curves;
 use super::diffuse::Diffuse;
 use super::fresnel::{Fresnel, modulated_eta};
 use super::ggx::Masking;
@@ -19,7 +20,12 @@ use super::translucent::{self, Shell, Transmission, translucent};
 use crate::flat::StandardSurface;
 use crate::math::{Rgb, luminance};
 
-pub fn compile(m: &StandardSurface, boundary_override: Option<Boundary>, check: &mut Check) -> Surface {
+pub fn compile(
+    m: &StandardSurface,
+    boundary_override: Option<Boundary>,
+    curves: &mut Curves,
+    check: &mut Check,
+) -> Surface {
     let coat_weight = check.unit("coat", m.coat, 0.0);
     let coat_color = check.color("coat_color", m.coat_color, 1.0);
     let coat_roughness = check.unit("coat_roughness", m.coat_roughness, 0.1);
@@ -28,7 +34,7 @@ pub fn compile(m: &StandardSurface, boundary_override: Option<Boundary>, check: 
         check.radiance("emission_color", m.emission_color, Rgb::ONE) * check.positive("emission", m.emission, 0.0);
     let coat = Coat::new(coat_weight, coat_color, || {
         let fresnel = Fresnel::Dielectric { eta: coat_ior };
-        Specular::new(coat_roughness * coat_roughness, fresnel, Masking::Smith)
+        Specular::new(coat_roughness * coat_roughness, fresnel, Masking::Smith, curves)
     });
     let description = describe(m, boundary_override, check);
     Surface {
@@ -36,7 +42,7 @@ pub fn compile(m: &StandardSurface, boundary_override: Option<Boundary>, check: 
         color: description.color(),
         presence: luminance(check.color("opacity", m.opacity, 1.0)).min(1.0),
         coat,
-        base: Base::Layered(Layered::new(&description)),
+        base: Base::Layered(Layered::new(&description, curves)),
         interior: description.medium.map(|medium| medium.interior),
         takes_display_color: false,
     }
@@ -73,7 +79,7 @@ fn medium(m: &StandardSurface, shell: Shell, check: &mut Check) -> (Option<Mediu
     let stand_in = ((1.0 - transmission) * subsurface, color);
     if transmission > 0.0 {
         if stand_in.0 > 0.0 {
-            check.warn("transmission and subsurface: subsurface is shaded as diffuse beside transmission".into());
+            check.warn(|| "transmission and subsurface: subsurface is shaded as diffuse beside transmission".into());
         }
         let inputs = Transmission {
             color: m.transmission_color,

@@ -1,6 +1,8 @@
 //! A compiled material: the constants a vertex needs, and the layers above the base that all shaders share.
 
+use super::albedo::Curve;
 use super::check::Check;
+use super::curves::{Curves, Key};
 use super::interior::{Boundary, Interior};
 use super::layered::Layered;
 use super::lobe::Lobe;
@@ -58,6 +60,18 @@ pub struct Surface {
     pub(super) takes_display_color: bool,
 }
 
+/// What a surface takes from elsewhere than its material.
+#[derive(Debug, Clone, Copy)]
+pub struct OfMesh {
+    pub display_color: Option<Rgb>,
+    pub display_opacity: f32,
+    pub boundary_override: Option<Boundary>,
+}
+
+/// Albedo curves that a surface was compiled with.
+#[derive(Debug, Clone)]
+pub struct NotedCurves(Vec<(Key, Curve)>);
+
 impl Surface {
     /// Compiles `material`. `display_color` and `display_opacity` are the mesh's and stand in for a
     /// UsdPreviewSurface whose `diffuseColor` is not authored. `boundary_override` replaces the boundary of every
@@ -71,13 +85,40 @@ impl Surface {
         prim: &str,
         warnings: &mut Vec<Warning>,
     ) -> Self {
-        let mut check = Check { prim, warnings };
+        let mut check = Check { prim, warnings: Some(warnings) };
+        let mut noted = Vec::new();
+        let mesh = OfMesh { display_color, display_opacity, boundary_override };
+        Self::with_curves(material, mesh, &mut Curves::Exact(&mut noted), &mut check)
+    }
+
+    /// As [`Self::compile`], with the curves it used.
+    pub fn compile_noting(
+        material: &Material,
+        mesh: OfMesh,
+        prim: &str,
+        warnings: &mut Vec<Warning>,
+    ) -> (Self, NotedCurves) {
+        let mut noted = Vec::new();
+        let mut check = Check { prim, warnings: Some(warnings) };
+        let surface = Self::with_curves(material, mesh, &mut Curves::Exact(&mut noted), &mut check);
+        (surface, NotedCurves(noted))
+    }
+
+    /// As [`Self::compile`], for numbers of one surface point: quick, without allocations or a word about what is
+    /// clamped. Curves that were not noted come from a grid.
+    pub fn at_point(material: &Material, mesh: OfMesh, noted: &NotedCurves) -> Self {
+        let mut check = Check { prim: "", warnings: None };
+        Self::with_curves(material, mesh, &mut Curves::Known(&noted.0), &mut check)
+    }
+
+    fn with_curves(material: &Material, mesh: OfMesh, curves: &mut Curves, check: &mut Check) -> Self {
+        let OfMesh { display_color, display_opacity, boundary_override } = mesh;
         match material {
             Material::UsdPreviewSurface(m) => {
-                preview::compile(m, display_color, display_opacity, boundary_override, &mut check)
+                preview::compile(m, display_color, display_opacity, boundary_override, curves, check)
             }
-            Material::OpenPbr(m) => openpbr::compile(m, boundary_override, &mut check),
-            Material::StandardSurface(m) => standard::compile(m, boundary_override, &mut check),
+            Material::OpenPbr(m) => openpbr::compile(m, boundary_override, curves, check),
+            Material::StandardSurface(m) => standard::compile(m, boundary_override, curves, check),
         }
     }
 
@@ -128,6 +169,13 @@ impl Surface {
             Some(interior) if side == Side::Inside => self.inside(wo, interior),
             _ => self.outside(wo),
         }
+    }
+
+    /// Index of the inside / index of the outside and tint of a boundary that refracts into single directions.
+    pub fn smooth_interface(&self) -> Option<(f32, Rgb)> {
+        let Base::Layered(layered) = &self.base else { return None };
+        let interface = layered.interface().filter(|interface| interface.is_smooth())?;
+        Some((interface.eta, interface.transmit_tint))
     }
 
     fn outside(&self, wo: Vec3) -> Bsdf {

@@ -9,7 +9,7 @@ use crate::flat::{self, FlatScene, Prim, RenderSettings, StageInfo, validate};
 use crate::guiding::look;
 use crate::integrator::PathStats;
 use crate::render::{GuideStats, Progress, film_for, render};
-use crate::scene::{CompileStats, Geometry, GeometryCache, Scene, compile};
+use crate::scene::{CompileStats, Geometry, GeometryCache, ImageCache, Scene, compile, fit_images};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -53,6 +53,7 @@ pub struct RenderDelegate {
     /// Meshes as they were authored, where validation changed them: an edit applies to these.
     authored: BTreeMap<String, flat::Mesh>,
     geometry: GeometryCache,
+    images: ImageCache,
     scene: Option<Arc<Scene>>,
     /// What is compiled is what is described.
     clean: bool,
@@ -102,6 +103,10 @@ impl RenderDelegate {
             Prim::Light(light) => drop(self.flat.lights.insert(path, light)),
             Prim::Camera(camera) => drop(self.flat.cameras.insert(path, camera)),
             Prim::Texture(texture) => drop(self.flat.textures.insert(path, texture)),
+            Prim::Image(image) => {
+                self.images.remove(&path);
+                self.flat.images.insert(path, image);
+            }
         }
     }
 
@@ -133,7 +138,8 @@ impl RenderDelegate {
             mesh.transform = new.transform;
         }
         if has(DirtyBits::PRIMVAR) {
-            (mesh.st, mesh.display_color, mesh.display_opacity) = (new.st, new.display_color, new.display_opacity);
+            mesh.primvars = new.primvars;
+            (mesh.display_color, mesh.display_opacity) = (new.display_color, new.display_opacity);
         }
         if has(DirtyBits::NORMALS) {
             mesh.normals = new.normals;
@@ -166,6 +172,8 @@ impl RenderDelegate {
         flat.lights.remove(path);
         flat.cameras.remove(path);
         flat.textures.remove(path);
+        flat.images.remove(path);
+        self.images.remove(path);
     }
 
     pub fn set_stage(&mut self, stage: StageInfo) {
@@ -206,10 +214,13 @@ impl RenderDelegate {
         self.stop();
         self.flat.settings.check()?;
         self.commit_warnings.clear();
+        let fitted = fit_images(&mut self.flat.images, &mut self.images, self.flat.settings.texture_memory);
+        // Said for good: at the next commit they fit.
+        self.flat.warnings.extend(fitted);
         // A name that leads nowhere now may lead somewhere after the next edit: clear it in a copy (arrays are shared).
         let mut named = self.flat.clone();
         named.validate_names(&mut self.commit_warnings);
-        let (scene, stats) = compile(&named, &mut self.geometry, &mut self.commit_warnings)?;
+        let (scene, stats) = compile(&named, &mut self.geometry, &mut self.images, &mut self.commit_warnings)?;
         self.scene = Some(Arc::new(scene));
         self.compiled = stats;
         self.clean = true;

@@ -16,6 +16,8 @@ pub enum Scalar {
     F32,
     F64,
     I32,
+    U8,
+    U16,
 }
 
 impl Scalar {
@@ -23,6 +25,8 @@ impl Scalar {
         match self {
             Scalar::F32 | Scalar::I32 => 4,
             Scalar::F64 => 8,
+            Scalar::U8 => 1,
+            Scalar::U16 => 2,
         }
     }
 }
@@ -42,7 +46,7 @@ macro_rules! element {
     };
 }
 element!(f32: F32 x 1, [f32; 2]: F32 x 2, [f32; 3]: F32 x 3, [f32; 4]: F32 x 4, f64: F64 x 1, i32: I32 x 1,
-    [[f64; 4]; 4]: F64 x 16);
+    u8: U8 x 1, u16: U16 x 1, [[f64; 4]; 4]: F64 x 16);
 
 /// An immutable array of `T`, cheap to clone.
 #[derive(Debug, Clone)]
@@ -95,6 +99,8 @@ pub enum AnyArray {
     F32(Vec<f32>, usize),
     F64(Vec<f64>, usize),
     I32(Vec<i32>, usize),
+    U8(Vec<u8>, usize),
+    U16(Vec<u16>, usize),
     Mapped { map: Arc<Mmap>, offset: usize, len: usize, scalar: Scalar, components: usize },
 }
 
@@ -104,6 +110,8 @@ impl AnyArray {
             AnyArray::F32(..) => Scalar::F32,
             AnyArray::F64(..) => Scalar::F64,
             AnyArray::I32(..) => Scalar::I32,
+            AnyArray::U8(..) => Scalar::U8,
+            AnyArray::U16(..) => Scalar::U16,
             AnyArray::Mapped { scalar, .. } => *scalar,
         }
     }
@@ -112,6 +120,7 @@ impl AnyArray {
     pub fn components(&self) -> usize {
         match self {
             AnyArray::F32(_, n) | AnyArray::F64(_, n) | AnyArray::I32(_, n) => *n,
+            AnyArray::U8(_, n) | AnyArray::U16(_, n) => *n,
             AnyArray::Mapped { components, .. } => *components,
         }
     }
@@ -122,6 +131,8 @@ impl AnyArray {
             AnyArray::F32(values, _) => bytemuck::cast_slice(values),
             AnyArray::F64(values, _) => bytemuck::cast_slice(values),
             AnyArray::I32(values, _) => bytemuck::cast_slice(values),
+            AnyArray::U8(values, _) => values,
+            AnyArray::U16(values, _) => bytemuck::cast_slice(values),
             AnyArray::Mapped { map, offset, len, scalar, components } => {
                 &map[*offset..*offset + *len * scalar.size() * *components]
             }
@@ -152,6 +163,8 @@ impl AnyArray {
             AnyArray::F32(values, _) => cast_vec(values),
             AnyArray::F64(values, _) => cast_vec(values),
             AnyArray::I32(values, _) => cast_vec(values),
+            AnyArray::U8(values, _) => cast_vec(values),
+            AnyArray::U16(values, _) => cast_vec(values),
             AnyArray::Mapped { map, offset, len, .. } => Ok(Array(Storage::Mapped { map, offset, len })),
         }
     }
@@ -197,6 +210,8 @@ impl<T: Element> Serialize for Array<T> {
             Scalar::F32 => AnyArray::F32(bytemuck::cast_slice::<T, f32>(self).to_vec(), T::COMPONENTS),
             Scalar::F64 => AnyArray::F64(bytemuck::cast_slice::<T, f64>(self).to_vec(), T::COMPONENTS),
             Scalar::I32 => AnyArray::I32(bytemuck::cast_slice::<T, i32>(self).to_vec(), T::COMPONENTS),
+            Scalar::U8 => AnyArray::U8(bytemuck::cast_slice::<T, u8>(self).to_vec(), T::COMPONENTS),
+            Scalar::U16 => AnyArray::U16(bytemuck::cast_slice::<T, u16>(self).to_vec(), T::COMPONENTS),
         };
         let array = TABLE.with_borrow_mut(|table| {
             table.push(Some(entry));

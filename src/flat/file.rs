@@ -16,7 +16,7 @@
 //! | next multiple of 8 | the table, 32 bytes per array |
 //! | multiples of 64 | the arrays |
 //!
-//! An entry of the table is the scalar (u32: 0 float, 1 double, 2 int) and how many make an element (u32), the
+//! An entry of the table is the scalar (u32: 0 float, 1 double, 2 int, 3 byte, 4 short; both unsigned) and how many make an element (u32), the
 //! offset in the file, the number of elements and the checksum of these (u64 each).
 //!
 //! A damaged header, text or table is found by its checksum. Arrays carry none, since that would read them
@@ -40,7 +40,7 @@ use std::{
 
 const MAGIC: &[u8; 6] = b"DERMIS";
 /// Raised when an older program could misread a newer file.
-const VERSION: u16 = 1;
+const VERSION: u16 = 2;
 const HEADER: usize = 64;
 const ENTRY: usize = 32;
 /// A cache line: what any vector load of an array may ask for.
@@ -170,6 +170,8 @@ fn entry(array: &AnyArray, offset: usize) -> [u8; ENTRY] {
         Scalar::F32 => 0,
         Scalar::F64 => 1,
         Scalar::I32 => 2,
+        Scalar::U8 => 3,
+        Scalar::U16 => 4,
     };
     let mut entry = [0; ENTRY];
     entry[..4].copy_from_slice(&code.to_le_bytes());
@@ -236,6 +238,8 @@ fn read_entry(map: &Arc<Mmap>, n: usize, entry: &[u8]) -> Checked<AnyArray> {
         0 => Scalar::F32,
         1 => Scalar::F64,
         2 => Scalar::I32,
+        3 => Scalar::U8,
+        4 => Scalar::U16,
         _ => return damaged("unknown scalar"),
     };
     let components = u32_at(entry, 4);

@@ -1,6 +1,9 @@
-//! Materials as authored: the surface shader's inputs under their own names, connections resolved.
+//! Materials as authored: the surface shader's inputs under their own names; what drives some of them is a
+//! [`Network`].
 
+use super::Network;
 use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 
 /// A bound material. Inputs that are not authored have the default of their specification.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -11,6 +14,25 @@ pub enum Material {
     OpenPbr(OpenPbrSurface),
     #[serde(rename = "ND_standard_surface_surfaceshader")]
     StandardSurface(StandardSurface),
+}
+
+impl Material {
+    /// What drives inputs.
+    pub fn network(&self) -> &Network {
+        match self {
+            Self::UsdPreviewSurface(m) => &m.network,
+            Self::OpenPbr(m) => &m.network,
+            Self::StandardSurface(m) => &m.network,
+        }
+    }
+
+    pub fn network_mut(&mut self) -> &mut Network {
+        match self {
+            Self::UsdPreviewSurface(m) => &mut m.network,
+            Self::OpenPbr(m) => &mut m.network,
+            Self::StandardSurface(m) => &mut m.network,
+        }
+    }
 }
 
 impl Default for Material {
@@ -34,7 +56,7 @@ pub struct PreviewSurface {
     pub clearcoat_roughness: f32,
     pub opacity: f32,
     /// `transparent` or `presence`.
-    pub opacity_mode: String,
+    pub opacity_mode: Cow<'static, str>,
     pub opacity_threshold: f32,
     pub ior: f32,
     /// Weight of the medium against the diffuse base, 0..1.
@@ -46,9 +68,11 @@ pub struct PreviewSurface {
     pub subsurface_scale: f32,
     pub subsurface_anisotropy: f32,
     /// `diffuse`, `dielectric` or `indexMatched`.
-    pub subsurface_boundary: String,
+    pub subsurface_boundary: Cow<'static, str>,
     /// Single-scattering albedo; overrides the inversion of `subsurface_color`.
     pub subsurface_albedo: Option<[f32; 3]>,
+    #[serde(skip_serializing_if = "Network::is_empty")]
+    pub network: Network,
 }
 
 impl Default for PreviewSurface {
@@ -73,6 +97,7 @@ impl Default for PreviewSurface {
             subsurface_anisotropy: 0.0,
             subsurface_boundary: "diffuse".into(),
             subsurface_albedo: None,
+            network: Network::default(),
         }
     }
 }
@@ -106,6 +131,8 @@ pub struct OpenPbrSurface {
     pub emission_luminance: f32,
     pub emission_color: [f32; 3],
     pub geometry_opacity: f32,
+    #[serde(skip_serializing_if = "Network::is_empty")]
+    pub network: Network,
 }
 
 impl Default for OpenPbrSurface {
@@ -136,6 +163,7 @@ impl Default for OpenPbrSurface {
             emission_luminance: 0.0,
             emission_color: [1.0; 3],
             geometry_opacity: 1.0,
+            network: Network::default(),
         }
     }
 }
@@ -171,6 +199,8 @@ pub struct StandardSurface {
     pub emission: f32,
     pub emission_color: [f32; 3],
     pub opacity: [f32; 3],
+    #[serde(skip_serializing_if = "Network::is_empty")]
+    pub network: Network,
 }
 
 impl Default for StandardSurface {
@@ -201,6 +231,7 @@ impl Default for StandardSurface {
             emission: 0.0,
             emission_color: [1.0; 3],
             opacity: [1.0; 3],
+            network: Network::default(),
         }
     }
 }

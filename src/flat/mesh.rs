@@ -38,6 +38,16 @@ pub struct Primvar<T: super::array::Element> {
     pub indices: Option<Array<i32>>,
 }
 
+/// A primvar that materials read, by its number of components.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "type", rename_all = "camelCase")]
+pub enum AnyPrimvar {
+    Float(Primvar<f32>),
+    Float2(Primvar<[f32; 2]>),
+    Float3(Primvar<[f32; 3]>),
+    Float4(Primvar<[f32; 4]>),
+}
+
 /// `UsdGeomSubset` of family `materialBind`: faces with a material of their own.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "camelCase", default)]
@@ -107,7 +117,8 @@ pub struct Mesh {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub refine_level: Option<u32>,
     pub normals: Option<Primvar<[f32; 3]>>,
-    pub st: Option<Primvar<[f32; 2]>>,
+    /// By name: those that the networks of its materials read.
+    pub primvars: BTreeMap<String, AnyPrimvar>,
     pub display_color: Option<Primvar<[f32; 3]>>,
     pub display_opacity: Option<Primvar<f32>>,
     /// Prim path of the bound material; empty: none.
@@ -132,7 +143,7 @@ impl Default for Mesh {
             subdiv_tags: SubdivTags::default(),
             refine_level: None,
             normals: None,
-            st: None,
+            primvars: BTreeMap::new(),
             display_color: None,
             display_opacity: None,
             material: String::new(),
@@ -158,7 +169,7 @@ fn is_empty(values: &Array<[f32; 3]>) -> bool {
     values.is_empty()
 }
 
-/// An image, decoded by the bridge: linear Rec.709, row 0 at the top.
+/// An image of a light, decoded by the bridge: linear Rec.709, row 0 at the top.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "camelCase", default)]
 pub struct Texture {
@@ -167,6 +178,74 @@ pub struct Texture {
     pub height: u32,
     /// `width * height` pixels.
     pub pixels: Array<[f32; 3]>,
+}
+
+/// Channels interleaved, rows from the top.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "format", content = "values", rename_all = "camelCase")]
+pub enum Texels {
+    /// 255 is 1.
+    U8(Array<u8>),
+    /// 65535 is 1.
+    U16(Array<u16>),
+    /// IEEE half floats, by their bits.
+    Half(Array<u16>),
+    Float(Array<f32>),
+}
+
+impl Texels {
+    pub fn len(&self) -> usize {
+        match self {
+            Self::U8(values) => values.len(),
+            Self::U16(values) | Self::Half(values) => values.len(),
+            Self::Float(values) => values.len(),
+        }
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Bytes of one value.
+    pub fn size(&self) -> usize {
+        match self {
+            Self::U8(_) => 1,
+            Self::U16(_) | Self::Half(_) => 2,
+            Self::Float(_) => 4,
+        }
+    }
+}
+
+/// An image that a material reads, in the numbers of its file: Rec.709 after `srgb` is undone.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+pub struct Image {
+    pub file: String,
+    pub width: u32,
+    pub height: u32,
+    /// 1: grey, 2: grey and alpha, 3: colour, 4: colour and alpha.
+    pub channels: u32,
+    /// Colours (not alpha) carry the transfer curve of IEC 61966-2-1.
+    pub srgb: bool,
+    /// `width * height * channels` values; empty where the file could not be read.
+    pub texels: Texels,
+    /// Why it could not be read.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    pub fault: String,
+}
+
+impl Default for Image {
+    fn default() -> Self {
+        Self {
+            file: String::new(),
+            width: 0,
+            height: 0,
+            channels: 1,
+            srgb: false,
+            texels: Texels::U8(Array::default()),
+            fault: String::new(),
+        }
+    }
 }
 
 /// Prims by path. A `BTreeMap`, so that every walk over the scene has one order.

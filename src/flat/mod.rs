@@ -6,6 +6,7 @@ pub mod file;
 mod light;
 mod material;
 mod mesh;
+mod network;
 #[cfg(test)]
 pub(crate) mod sample;
 mod settings;
@@ -16,8 +17,10 @@ pub use camera::{Camera, Projection};
 pub use light::{Light, LightShape, Shaping};
 pub use material::{Material, OpenPbrSurface, PreviewSurface, StandardSurface};
 pub use mesh::{
-    GeomSubset, IDENTITY, Instancer, Interpolation, Matrix4d, Mesh, Orientation, Prims, Primvar, SubdivTags, Texture,
+    AnyPrimvar, GeomSubset, IDENTITY, Image, Instancer, Interpolation, Matrix4d, Mesh, Orientation, Prims, Primvar,
+    SubdivTags, Texels, Texture,
 };
+pub use network::{ImageNode, Network, Node, Op, Tile, Wrap};
 pub use settings::{AOVS, GUIDE_AOVS, MAX_NORMALS, RenderSettings, WALKS};
 
 use serde::{Deserialize, Serialize};
@@ -50,6 +53,7 @@ pub enum Prim {
     Light(Light),
     Camera(Camera),
     Texture(Texture),
+    Image(Image),
 }
 
 /// A whole stage at one time.
@@ -63,6 +67,7 @@ pub struct FlatScene {
     pub lights: Prims<Light>,
     pub cameras: Prims<Camera>,
     pub textures: Prims<Texture>,
+    pub images: Prims<Image>,
     pub settings: RenderSettings,
     /// What the bridge dropped or replaced on the way here.
     pub warnings: Vec<crate::error::Warning>,

@@ -6,7 +6,11 @@ use super::*;
 pub(crate) fn cube() -> Mesh {
     let points: Vec<[f32; 3]> = (0..8).map(|i| [0, 1, 2].map(|axis| ((i >> axis) & 1) as f32)).collect();
     let faces = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
-    let st = vec![[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]];
+    let st = Primvar {
+        interpolation: Interpolation::FaceVarying,
+        values: vec![[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]].into(),
+        indices: Some([0, 1, 2, 3].repeat(6).into()),
+    };
     let primvar = |interpolation, values: Vec<f32>| Primvar { interpolation, values: values.into(), indices: None };
     Mesh {
         points: points.clone().into(),
@@ -14,11 +18,7 @@ pub(crate) fn cube() -> Mesh {
         face_vertex_indices: faces.as_flattened().to_vec().into(),
         hole_indices: vec![5].into(),
         normals: Some(Primvar { interpolation: Interpolation::Vertex, values: points.into(), indices: None }),
-        st: Some(Primvar {
-            interpolation: Interpolation::FaceVarying,
-            values: st.into(),
-            indices: Some([0, 1, 2, 3].repeat(6).into()),
-        }),
+        primvars: [("st".into(), AnyPrimvar::Float2(st))].into(),
         display_color: Some(Primvar {
             interpolation: Interpolation::FaceVarying,
             values: (0..24).map(|i| [i as f32 / 24.0; 3]).collect::<Vec<_>>().into(),
@@ -74,8 +74,43 @@ pub(crate) fn scene() -> FlatScene {
     scene
         .textures
         .insert("/sky.exr".into(), Texture { file: "sky.exr".into(), width: 3, height: 2, pixels: pixels.into() });
+    let pores = Image {
+        file: "pores.png".into(),
+        width: 2,
+        height: 1,
+        channels: 3,
+        srgb: true,
+        texels: Texels::U8(vec![7; 6].into()),
+        ..Image::default()
+    };
+    scene.images.insert("@pores.png@".into(), pores);
+    scene.images.insert(
+        "@depth.exr@".into(),
+        Image { width: 1, height: 2, texels: Texels::Half(vec![0x3c00, 0].into()), ..Image::default() },
+    );
+    *scene.materials.get_mut("/looks/wax").expect("there").network_mut() = network();
     scene.settings.camera = "/camera".into();
     scene.settings.aovs = vec!["depth".into(), "albedo".into()];
     scene.warnings.push(crate::error::Warning::new("/curves", "BasisCurves are not rendered"));
     scene
+}
+
+/// A colour from an image, doubled.
+fn network() -> Network {
+    let image = ImageNode {
+        tiles: vec![Tile { udim: 0, image: "@pores.png@".into() }],
+        st: 0,
+        wrap_s: Wrap::Repeat,
+        wrap_t: Wrap::Mirror,
+        border: [0.0; 4],
+        fallback: [0.0, 0.0, 0.0, 1.0],
+        closest: false,
+    };
+    let nodes = vec![
+        Node::Primvar { varname: "st".into(), fallback: [0.0; 4] },
+        Node::Image(image),
+        Node::Constant { value: [2.0; 4] },
+        Node::Math { op: Op::Multiply, args: vec![1, 2] },
+    ];
+    Network { nodes, inputs: [("base_color".into(), 3)].into(), tangents: "st".into() }
 }

@@ -64,6 +64,9 @@ pub struct RenderSettings {
     pub control_variates: bool,
     /// Lights sampled where a walk comes out: `one`, `all`, `learned` (one, by visible contribution), or `auto`.
     pub exit_lights: String,
+    /// Light sampled at collisions, through smooth dielectric boundaries: `on`, `off`, or `auto`: where a light is small and
+    /// the walk is not of exact weight.
+    pub refracted_light: String,
     /// Where walks of `mixture` come out of a diffuse boundary, half of them go on to where light was seen.
     pub guide_exits: bool,
     /// What fills the boundary cache: `surface` (uniform samples) or `camera` (walks of camera paths).
@@ -72,6 +75,8 @@ pub struct RenderSettings {
     pub cache_resolution: u32,
     /// `auto`, or a boundary for every medium: `diffuse`, `dielectric`, `indexMatched`.
     pub subsurface_boundary: String,
+    /// Megabytes for the images of materials; the largest are kept coarser where they do not fit. 0: no bound.
+    pub texture_memory: u32,
     /// Camera rays see area lights.
     pub lights_visible_to_camera: bool,
     /// AOVs beside the beauty, each one of [`AOVS`] or [`GUIDE_AOVS`]; all of the former by default.
@@ -104,10 +109,12 @@ impl Default for RenderSettings {
             stratify_techniques: true,
             control_variates: true,
             exit_lights: "auto".into(),
+            refracted_light: "auto".into(),
             guide_exits: true,
             cache_fill: "surface".into(),
             cache_resolution: 0,
             subsurface_boundary: "auto".into(),
+            texture_memory: 4096,
             lights_visible_to_camera: false,
             aovs: AOVS.map(String::from).to_vec(),
         }

@@ -120,6 +120,7 @@ pub fn explain(scene: &Scene, settings: &RenderSettings) -> Vec<Explanation> {
     let cached = count(&|plan| plan.needs_cache());
     let exact = count(&|plan| plan.needs_cache() && plan.exact);
     let mixtures = count(&|plan| plan.walk == Walk::Mixture && plan.exact);
+    let bent = count(&|plan| plan.bends);
     let lights = ExitLights::of(scene, settings);
     let line = Explanation::new;
     let guided = count(&|plan| plan.walk != Walk::Classical);
@@ -133,6 +134,13 @@ pub fn explain(scene: &Scene, settings: &RenderSettings) -> Vec<Explanation> {
             (n, _) => format!("walks in {} choose their slab normals by the light there", media(n)),
         }
     );
+    let bent_why = match settings.refracted_light.as_str() {
+        "auto" => format!("collisions in {} see small lights through its smooth boundary", media(bent)),
+        asked => format!(
+            "collisions see lights through smooth boundaries in {}; refractedLight={asked} asked for",
+            media(bent)
+        ),
+    };
     vec![
         line("guided walks", guided > 0, format!("in {}", media(guided)), "no walk follows a slab normal"),
         line("boundary cache", cached > 0 || by_lights, cache, "no walk and no exit asks it"),
@@ -147,6 +155,12 @@ pub fn explain(scene: &Scene, settings: &RenderSettings) -> Vec<Explanation> {
             settings.control_variates && exact > 0,
             format!("densities of the techniques in {}, fitted between passes", media(exact)),
             "no walks with exact weights from a boundary cache, or controlVariates=false",
+        ),
+        line(
+            "refracted light",
+            bent > 0,
+            bent_why,
+            "no smooth dielectric boundary with small lights around it, or exact weights",
         ),
         line(
             "exit lights",

@@ -2,7 +2,9 @@
 
 use crate::bsdf::Boundary;
 use crate::flat::RenderSettings;
-use crate::scene::{Interior, Scene};
+use crate::medium::Medium;
+use crate::scene::{Coating, Driven, Interior, Scene};
+use crate::subsurface::technique::GuidedMedium;
 use serde::Serialize;
 
 /// A walk by what its slab normals come from.
@@ -30,6 +32,8 @@ pub struct Plan {
     pub walk: Walk,
     /// Weighted by the marginal over all techniques; else by the one that was drawn.
     pub exact: bool,
+    /// Light is sampled at collisions, through a boundary that bends it.
+    pub bends: bool,
     pub why: String,
 }
 
@@ -37,6 +41,12 @@ impl Plan {
     /// Whether regions of the boundary have to be known.
     pub fn needs_cache(&self) -> bool {
         matches!(self.walk, Walk::Bono | Walk::Bill | Walk::Mixture)
+    }
+
+    /// The medium of a walk where it is not that of the surface, with the kernels that the walk needs.
+    pub fn medium_at(&self, medium: Medium) -> GuidedMedium {
+        // Isotropic kernels take less than a microsecond; driven media of other phase functions are not guided.
+        if self.walk == Walk::Classical { GuidedMedium::unguided(medium) } else { GuidedMedium::new(medium) }
     }
 }
 
@@ -54,17 +64,45 @@ pub fn plans(scene: &Scene, settings: &RenderSettings) -> Vec<Option<Plan>> {
         let walked = |interior: &Interior| interior.medium.scatters() || interior.boundary == Boundary::Diffuse;
         let Some(interior) = coating.interior.filter(walked) else { continue };
         let Some(owner) = scene.owner(index) else { continue };
-        plans[index] = Some(plan(settings, &interior, owner.thickness(), scene.is_lit()));
+        let driven = coating.driven.as_deref();
+        let varies = driven.is_some_and(Driven::medium);
+        let anisotropic = interior.medium.g != 0.0 || driven.is_some_and(Driven::anisotropy);
+        let mut plan = if varies && anisotropic {
+            let why = "its medium is driven and its phase function is not isotropic: kernels for each point would take \
+                       longer than its walks";
+            Plan { walk: Walk::Classical, exact: false, bends: false, why: why.into() }
+        } else {
+            plan(settings, &interior, owner.thickness(), scene.is_lit())
+        };
+        if varies && !anisotropic {
+            plan.why += "; driven: each walk has the medium of its entry";
+        }
+        plan.bends = bends(scene, settings, coating, &plan);
+        plans[index] = Some(plan);
     }
     plans
 }
 
+/// Whether light is sampled through the boundary of a medium that scatters and bends it into single directions. By itself
+/// only where lights are small, and not in walks of the mixture: those are for bodies so thick that light seldom gets
+/// to a collision straight, and each of theirs would cost a sum over techniques.
+fn bends(scene: &Scene, settings: &RenderSettings, coating: &Coating, plan: &Plan) -> bool {
+    let scatters = coating.interior.is_some_and(|interior| interior.medium.scatters());
+    let smooth = scatters && coating.surface.smooth_interface().is_some();
+    match settings.refracted_light.as_str() {
+        "off" => false,
+        "on" => smooth,
+        _ => smooth && !plan.exact && scene.lights.has_small(),
+    }
+}
+
 fn plan(settings: &RenderSettings, interior: &Interior, thickness: f32, lit: bool) -> Plan {
-    let asked = |walk, exact| Plan { walk, exact, why: format!("walk={} asked for", settings.walk) };
+    let asked = |walk, exact| Plan { walk, exact, bends: false, why: format!("walk={} asked for", settings.walk) };
     if !interior.medium.scatters() {
         return Plan {
             walk: Walk::Classical,
             exact: false,
+            bends: false,
             why: "it only absorbs, so there is nothing to guide".into(),
         };
     }
@@ -83,7 +121,7 @@ fn plan(settings: &RenderSettings, interior: &Interior, thickness: f32, lit: boo
 
 fn automatic(interior: &Interior, thickness: f32, lit: bool, exact: bool) -> Plan {
     let depth = interior.medium.sigma_t.max_element() * thickness;
-    let classical = |why: String| Plan { walk: Walk::Classical, exact: false, why };
+    let classical = |why: String| Plan { walk: Walk::Classical, exact: false, bends: false, why };
     if !lit {
         return classical("nothing emits light, so there is no light to walk to".into());
     }
@@ -92,8 +130,8 @@ fn automatic(interior: &Interior, thickness: f32, lit: bool, exact: bool) -> Pla
     }
     if interior.boundary == Boundary::Dielectric && depth < THIN_DIELECTRIC {
         return classical(format!(
-            "{depth:.0} mean free paths across behind a dielectric: walks are short, light is met by chance"
+            "{depth:.0} mean free paths across behind a dielectric: walks are too short for guiding to pay"
         ));
     }
-    Plan { walk: Walk::Mixture, exact, why: format!("{depth:.0} mean free paths across, lit") }
+    Plan { walk: Walk::Mixture, exact, bends: false, why: format!("{depth:.0} mean free paths across, lit") }
 }

@@ -1,17 +1,16 @@
 //! Light: what a segment meets, and next-event estimation towards what it might have met.
 
 use super::nest::{Inside, Nest};
-use super::{Bucket, Path, Previous, add_to};
+use super::{Path, Previous};
 use crate::bsdf::{Boundary, Bsdf, Side};
 use crate::guiding::LightsAt;
 use crate::guiding::exit::Exit;
 use crate::interaction::Interaction;
-use crate::light::{Choice, LightSample, ShapeHit};
+use crate::light::{Choice, Emitter, LightSample, ShapeHit};
 use crate::math::Rgb;
 use crate::sampling::power_heuristic;
 use crate::sampling::sampler::Sampler;
-use crate::scene::{Origin, Scene, SurfaceHit};
-use crate::subsurface::walk::Collision;
+use crate::scene::{Coating, Origin, Scene, SurfaceHit};
 use glam::{Vec2, Vec3};
 
 /// Generator of the R2 sequence (Roberts 2018): inverse powers of the plastic number.
@@ -37,6 +36,7 @@ impl Path<'_> {
             }
             let weight = self.light_weight(
                 |p, n, choice| scene.lights.pdf_hit(light, p, n, choice, d, &seen_from(p, o, d, hit)),
+                |x| scene.lights.emitter_at(light, x, o + d * hit.t, hit),
                 light,
             );
             self.see_light(weight * inside.transmittance(hit.t) * radiance);
@@ -51,16 +51,20 @@ impl Path<'_> {
             if radiance == Rgb::ZERO {
                 continue;
             }
-            let weight = self.light_weight(|p, n, choice| scene.lights.pdf_escaped(light, p, n, choice, d), light);
+            let weight = self.light_weight(
+                |p, n, choice| scene.lights.pdf_escaped(light, p, n, choice, d),
+                |x| scene.lights.emitter_towards(light, x, d),
+                light,
+            );
             self.see_light(weight * self.inside.transmittance(f32::INFINITY) * radiance);
         }
     }
 
     /// Emission of the surface material, and of the light that the mesh is.
-    pub(super) fn meet_surface_emission(&mut self, si: &Interaction) {
+    pub(super) fn meet_surface_emission(&mut self, si: &Interaction, coating: &Coating) {
         let scene = self.scene;
         if matches!(si.side, Side::Outside) {
-            self.add(scene.surfaces[si.surface as usize].surface.emission());
+            self.add(coating.surface.emission());
         }
         let Some((light, first)) = scene.instances[si.instance as usize].light else { return };
         if !si.front {
@@ -74,6 +78,7 @@ impl Path<'_> {
             Previous::Camera => Rgb::ONE,
             _ => self.light_weight(
                 |p, n, choice| scene.lights.pdf_hit(light, p, n, choice, d, &seen_from(p, o, d, &hit)),
+                |x| scene.lights.emitter_at(light, x, o + d * hit.t, &hit),
                 light,
             ),
         };
@@ -81,9 +86,15 @@ impl Path<'_> {
     }
 
     /// MIS weight of a light met by the segment; 0 where the camera must not see it.
-    fn light_weight(&self, light_pdf: impl Fn(Vec3, Option<Vec3>, Choice) -> f32, light: u32) -> Rgb {
+    fn light_weight(
+        &self,
+        light_pdf: impl Fn(Vec3, Option<Vec3>, Choice) -> f32,
+        emitter: impl Fn(Vec3) -> Option<Emitter>,
+        light: u32,
+    ) -> Rgb {
         match self.previous {
             Previous::Delta => Rgb::ONE,
+            Previous::Refracted(last) => Rgb::splat(last.weight(self.scene, emitter)),
             Previous::Camera => {
                 let visible = self.settings.lights_visible_to_camera || self.scene.lights.camera_visible(light);
                 Rgb::splat(if visible { 1.0 } else { 0.0 })
@@ -173,45 +184,6 @@ fn seen_from(p: Vec3, o: Vec3, d: Vec3, hit: &ShapeHit) -> ShapeHit {
     ShapeHit { t: hit.t + (o - p).dot(d), ..*hit }
 }
 
-/// Light sampled at a collision in an index-matched medium, weighted against the walk's own directions.
-#[derive(Clone, Copy)]
-pub(super) struct CollisionLight<'a> {
-    pub scene: &'a Scene,
-    /// The object that the collision is in.
-    pub instance: u32,
-    pub inside: Nest,
-    /// Path throughput per unit of the walk's weight.
-    pub scale: f32,
-    pub bucket: Bucket,
-}
-
-impl CollisionLight<'_> {
-    /// `p`: the collision in render space. Whether a shadow ray was cast.
-    pub(super) fn add(
-        &self,
-        collision: &Collision,
-        p: Vec3,
-        u_choice: f32,
-        u: Vec2,
-        sample: &mut crate::film::Sample,
-    ) -> bool {
-        let light = self.scene.lights.sample(p, None, Choice::ONE, u_choice, u);
-        let Some(light) = light.filter(|light| light.radiance != Rgb::ZERO) else { return false };
-        let (phase, pdf) = (collision.scatter)(light.wi);
-        if phase <= 0.0 {
-            return false;
-        }
-        let hit = self.scene.boundary_from_within(self.instance, collision.p, light.wi, light.reach());
-        let visible = transmittance_beyond(self.scene, hit, light.wi, light.reach(), self.inside);
-        // Walks meet no lights before the boundary: those within the medium are ours alone.
-        let ours = light.delta || hit.is_none() && light.distance.is_finite();
-        let weight = if ours { 1.0 } else { power_heuristic(light.pdf, pdf) };
-        let light = phase * visible * light.radiance * (weight / light.pdf);
-        add_to(sample, self.bucket, self.scale * collision.weight * light);
-        true
-    }
-}
-
 /// Share of light that reaches along (o, d) from distance `t_max`: 0 or 1 past opaque things, opacity and
 /// index-matched media in between. `inside`: the objects around `o`.
 pub(super) fn transmittance(scene: &Scene, o: Vec3, d: Vec3, t_max: f32, origin: Origin, inside: Nest) -> Rgb {
@@ -222,15 +194,22 @@ pub(super) fn transmittance(scene: &Scene, o: Vec3, d: Vec3, t_max: f32, origin:
 }
 
 /// [`transmittance`] of a ray whose first surface is `hit`.
-fn transmittance_beyond(scene: &Scene, mut hit: Option<SurfaceHit>, d: Vec3, t_max: f32, mut inside: Nest) -> Rgb {
+pub(super) fn transmittance_beyond(
+    scene: &Scene,
+    mut hit: Option<SurfaceHit>,
+    d: Vec3,
+    t_max: f32,
+    mut inside: Nest,
+) -> Rgb {
     let mut left = t_max;
     let mut passed = Rgb::ONE;
     for _ in 0..MAX_LAYERS {
         passed *= inside.transmittance(hit.map_or(left, |hit| hit.t));
         let Some(at) = hit else { return passed };
         let within = inside.contains(at.instance);
-        let si = scene.interaction(&at, d, if within { Side::Inside } else { Side::Outside });
-        let coating = &scene.surfaces[si.surface as usize];
+        let mut si = scene.interaction(&at, d, if within { Side::Inside } else { Side::Outside });
+        // The edge of a cut-out is that of its finest level.
+        let coating = scene.shade(&mut si, 0.0);
         match coating.interior.filter(|interior| interior.boundary == Boundary::IndexMatched) {
             Some(_) if within => inside = inside.left(at.instance),
             Some(interior) => {

@@ -1,10 +1,10 @@
 //! Passing an object's inside: sub-walks from boundary to boundary until the light gets out.
 
-use super::direct::CollisionLight;
+use super::collision::{Bent, CollisionLight, Refracted};
 use super::nest::Inside;
 use super::watch::drawn;
 use super::{Bucket, Path, Previous};
-use crate::bsdf::{Boundary, Bsdf, Event, Side};
+use crate::bsdf::{Boundary, Bsdf, Event, Side, Surface};
 use crate::film::Sample;
 use crate::guiding::exit::Exit;
 use crate::guiding::look::shares_by_kind;
@@ -12,18 +12,25 @@ use crate::guiding::plan::{Plan, Walk};
 use crate::interaction::Interaction;
 use crate::math::Rgb;
 use crate::sampling::sampler::Sampler;
-use crate::scene::{BoundaryHit, InstanceEnclosure, SurfaceHit};
+use crate::scene::{BoundaryHit, Coating, InstanceEnclosure, SurfaceHit};
 use crate::subsurface::mixture::{Visitor, walk_mixture};
 use crate::subsurface::steps::{Enclosure, Start, WalkEnd};
 use crate::subsurface::technique::GuidedMedium;
 use crate::subsurface::walk::{Along, Collision, walk};
 use glam::{Vec2, Vec3};
 
+/// The last collision of a walk and the solid-angle pdf with which it went on, as in [`WalkEnd::Boundary`].
+type Scattered = Option<(Vec3, f32)>;
+
 /// The medium that a path is in.
 struct Passage<'a> {
     enclosure: InstanceEnclosure<'a>,
     instance: u32,
+    /// Of the entry.
+    surface: u32,
     boundary: Boundary,
+    /// The boundary, where light is sampled through it.
+    bent: Option<Bent<'a>>,
     plan: &'a Plan,
     medium: &'a GuidedMedium,
     /// No boundary was met yet.
@@ -32,22 +39,33 @@ struct Passage<'a> {
 
 impl<'a> Path<'a> {
     /// Enters the medium behind `si` along `wi` and follows it to the outside. The medium and the boundary
-    /// are those of the entry, wherever the walk comes out.
+    /// are those of `coating`, that of the entry, wherever the walk comes out; a bent normal is that of the exit.
     pub(super) fn enter_medium(
         &mut self,
         hit: &SurfaceHit,
         si: &Interaction,
+        coating: &Coating,
         wi: Vec3,
         sampler: &mut Sampler,
     ) -> Option<()> {
         let scene = self.scene;
-        let boundary = scene.surfaces[si.surface as usize].interior?.boundary;
+        let interior = coating.interior?;
+        let boundary = interior.boundary;
         let (plan, medium) = self.guide.plan(si.surface)?;
+        let here;
+        let medium = if medium.medium == interior.medium {
+            medium
+        } else {
+            here = plan.medium_at(interior.medium);
+            &here
+        };
         if self.depth == 0 {
             self.bucket = Bucket::Subsurface;
         }
         let enclosure = InstanceEnclosure::new(scene, si.instance);
-        let mut passage = Passage { enclosure, instance: si.instance, boundary, plan, medium, first: self.depth == 0 };
+        let bent = if plan.bends { Bent::new(scene, si.instance, si.surface) } else { None };
+        let (instance, surface, first) = (si.instance, si.surface, self.depth == 0);
+        let mut passage = Passage { enclosure, instance, surface, boundary, bent, plan, medium, first };
         let entry = BoundaryHit::of(hit);
         let p = passage.enclosure.point(&entry);
         if boundary == Boundary::IndexMatched && scene.has_light_shapes() {
@@ -55,9 +73,10 @@ impl<'a> Path<'a> {
         }
         let mut start = Start { p, d: wi, normal: si.ng, hit: entry, weight: Rgb::ONE };
         loop {
-            let (at, d) = self.sub_walk(&passage, start, sampler)?;
+            let (at, d, scattered) = self.sub_walk(&passage, start, sampler)?;
             passage.first = false;
-            let exit = scene.interaction(&passage.enclosure.surface_hit(&at), d, Side::Inside);
+            let mut exit = scene.interaction(&passage.enclosure.surface_hit(&at), d, Side::Inside);
+            scene.bend(&mut exit, self.cone.width);
             match boundary {
                 Boundary::IndexMatched => {
                     self.continue_from(&exit, d);
@@ -66,12 +85,15 @@ impl<'a> Path<'a> {
                 Boundary::Diffuse => return self.leave_diffuse(&exit, passage.enclosure.point(&at), sampler),
                 Boundary::Dielectric => {
                     let p = passage.enclosure.point(&at);
-                    match self.meet_dielectric(si.surface, &exit, p, sampler)? {
+                    match self.meet_dielectric(&coating.surface, &exit, p, sampler)? {
                         Some(reflected) => {
                             self.cross()?;
                             start = Start { p, d: reflected, normal: exit.ng, hit: at, weight: Rgb::ONE };
                         }
-                        None => return Some(()),
+                        None => {
+                            self.remember(&passage, scattered, p);
+                            return Some(());
+                        }
                     }
                 }
             }
@@ -87,24 +109,35 @@ impl<'a> Path<'a> {
         self.meet_light_shapes_along(passage.enclosure.to_render(p), d, t_max, inside);
     }
 
-    /// One walk to the next boundary point: where, and in which direction it arrives.
+    /// What MIS needs where the segment out of a bent boundary at `p` (walk space) meets a light.
+    fn remember(&mut self, passage: &Passage, scattered: Scattered, p: Vec3) {
+        let (Some((x, pdf)), true) = (scattered, passage.bent.is_some()) else { return };
+        let (instance, surface) = (passage.instance, passage.surface);
+        self.previous = Previous::Refracted(Refracted { instance, surface, x, p, pdf });
+    }
+
+    /// One walk to the next boundary point: where, in which direction it arrives, and its last collision with the pdf of
+    /// that direction.
     fn sub_walk(
         &mut self,
-        passage: &Passage<'a>,
+        passage: &Passage,
         mut start: Start<BoundaryHit>,
         sampler: &mut Sampler,
-    ) -> Option<(BoundaryHit, Vec3)> {
+    ) -> Option<(BoundaryHit, Vec3, Scattered)> {
         let scale = self.throughput.max_element();
         (scale > 0.0).then_some(())?;
         start.weight = self.throughput / scale;
+        let (scene, instance, bucket, bent) = (self.scene, passage.instance, self.bucket, passage.bent);
+        let light = |around, bent| CollisionLight { scene, instance, around, scale, bucket, bent };
         let end = match passage.boundary {
             // Light reaches collisions straight only where the boundary does not bend it.
             Boundary::IndexMatched => {
                 let medium = Some(passage.medium.medium);
-                let inside = self.enter(Inside { instance: passage.instance, medium })?;
-                let (scene, instance) = (self.scene, passage.instance);
-                let light = CollisionLight { scene, instance, inside, scale, bucket: self.bucket };
+                let light = light(self.enter(Inside { instance, medium })?, None);
                 self.walk::<true>(passage, start, scale, Some(light), sampler)
+            }
+            Boundary::Dielectric if bent.is_some() => {
+                self.walk::<true>(passage, start, scale, Some(light(self.inside, bent)), sampler)
             }
             _ => self.walk::<false>(passage, start, scale, None, sampler),
         };
@@ -114,13 +147,13 @@ impl<'a> Path<'a> {
             let lights = crate::guiding::LightsAt::One;
             self.previous = Previous::Sampled { p: passage.enclosure.to_render(p), n: None, pdf, lights };
         }
-        Some((hit, d))
+        Some((hit, d, scattered))
     }
 
     /// The walk that the plan says.
     fn walk<const LIT: bool>(
         &mut self,
-        passage: &Passage<'a>,
+        passage: &Passage,
         start: Start<BoundaryHit>,
         scale: f32,
         light: Option<CollisionLight>,
@@ -158,7 +191,7 @@ impl<'a> Path<'a> {
     /// A walk along one slab normal, or classical, weighted by itself.
     fn conditional_walk(
         &mut self,
-        passage: &Passage<'a>,
+        passage: &Passage,
         start: Start<BoundaryHit>,
         light: Option<CollisionLight>,
         sampler: &mut Sampler,
@@ -205,9 +238,7 @@ impl<'a> Path<'a> {
         let (sample, shadow_rays) = (&mut self.sample, &mut self.stats.shadow_rays);
         let collide = |collision: &Collision, sampler: &mut Sampler| {
             if let Some(light) = &light {
-                let u = Vec2::new(sampler.random(), sampler.random());
-                let cast = light.add(collision, enclosure.to_render(collision.p), sampler.random(), u, sample);
-                *shadow_rays += u64::from(cast);
+                *shadow_rays += light.add(collision, enclosure, sampler, sample);
             }
         };
         let medium = &passage.medium.medium;
@@ -241,12 +272,11 @@ impl<'a> Path<'a> {
     /// `Some(None)` out.
     fn meet_dielectric(
         &mut self,
-        surface: u32,
+        surface: &Surface,
         exit: &Interaction,
         p: Vec3,
         sampler: &mut Sampler,
     ) -> Option<Option<Vec3>> {
-        let surface = &self.scene.surfaces[surface as usize].surface;
         let bsdf = surface.bsdf(exit.local(exit.wo), Side::Inside);
         let lights = self.guide.exit_choice(exit.instance, p, exit.ng);
         self.next_event(exit, &bsdf, lights, None, sampler);
@@ -308,8 +338,6 @@ impl<const LIT: bool> Visitor for Collisions<'_, LIT> {
 
     fn collide(&mut self, collision: &Collision, sampler: &mut Sampler) {
         let Some(light) = &self.light else { return };
-        let u = Vec2::new(sampler.random(), sampler.random());
-        let p = self.passage.enclosure.to_render(collision.p);
-        self.shadow_rays += u64::from(light.add(collision, p, sampler.random(), u, self.sample));
+        self.shadow_rays += light.add(collision, &self.passage.enclosure, sampler, self.sample);
     }
 }

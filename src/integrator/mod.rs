@@ -1,8 +1,10 @@
 //! The path integrator: camera ray in, radiance out. One unidirectional path with next-event estimation
 //! and multiple importance sampling at surfaces, at exits of media, and at collisions where light gets in.
 
+mod collision;
 mod direct;
 mod log;
+mod manifold;
 mod medium;
 mod nest;
 mod probe;
@@ -18,8 +20,9 @@ use crate::guiding::{Guide, LightsAt};
 use crate::interaction::Interaction;
 use crate::math::Rgb;
 use crate::sampling::sampler::Sampler;
-use crate::scene::{Origin, Scene, SurfaceHit};
+use crate::scene::{Coating, Origin, Scene, SurfaceHit};
 use crate::subsurface::steps::WalkStats;
+use collision::Refracted;
 use glam::Vec3;
 use nest::{Inside, Nest};
 
@@ -74,6 +77,8 @@ enum Previous {
         pdf: f32,
         lights: LightsAt,
     },
+    /// Out of a smooth dielectric, after a collision that sampled light too.
+    Refracted(Refracted),
 }
 
 /// AOV that light found next belongs to.
@@ -82,6 +87,30 @@ enum Bucket {
     Direct,
     Indirect,
     Subsurface,
+}
+
+/// The footprint of a path, for the levels of images (after Igehy 1999 and Bekaert et al. 2003, with one width).
+#[derive(Debug, Clone, Copy)]
+struct Cone {
+    /// Across the ray where it starts, stage units.
+    width: f32,
+    /// Growth of the width per stage unit.
+    spread: f32,
+}
+
+impl Cone {
+    /// Of a path that has scattered already.
+    const WIDE: Self = Self { width: 0.0, spread: 0.5 };
+
+    fn at(&self, t: f32) -> f32 {
+        self.width + self.spread * t
+    }
+
+    /// After a direction of density `pdf` was drawn: the quarter of the solid angle that a sample stands for keeps what
+    /// a few samples see sharp.
+    fn scattered(&mut self, pdf: f32) {
+        self.spread = self.spread.max(0.25 * pdf.max(1e-3).sqrt().recip()).min(Self::WIDE.spread);
+    }
 }
 
 struct Path<'a> {
@@ -98,6 +127,7 @@ struct Path<'a> {
     bucket: Bucket,
     previous: Previous,
     inside: Nest,
+    cone: Cone,
     // The next segment.
     o: Vec3,
     d: Vec3,
@@ -116,7 +146,9 @@ pub fn trace(
     stats: &mut PathStats,
     log: &mut WalkLog,
 ) -> Sample {
-    let mut path = Path { o: ray.o, d: ray.d, t_max: ray.t_max, ..Path::new(scene, guide, settings, stats) };
+    let (width, spread) = scene.camera.footprint();
+    let cone = Cone { width, spread };
+    let mut path = Path { o: ray.o, d: ray.d, t_max: ray.t_max, cone, ..Path::new(scene, guide, settings, stats) };
     path.log = Some(log);
     while path.segment(sampler).is_some() {}
     path.finish_walks();
@@ -144,6 +176,7 @@ impl<'a> Path<'a> {
             bucket: Bucket::Direct,
             previous: Previous::Camera,
             inside: Nest::OUTSIDE,
+            cone: Cone::WIDE,
             o: Vec3::ZERO,
             d: Vec3::Z,
             t_max: f32::INFINITY,
@@ -163,12 +196,14 @@ impl Path<'_> {
             return None;
         };
         self.throughput *= self.inside.transmittance(hit.t);
-        let si = self.scene.interaction(&hit, self.d, self.side_of(&hit));
-        self.meet_surface_emission(&si);
+        self.cone.width = self.cone.at(hit.t);
+        let mut si = self.scene.interaction(&hit, self.d, self.side_of(&hit));
+        let coating = self.scene.shade(&mut si, self.cone.width);
+        self.meet_surface_emission(&si, &coating);
         if self.depth > self.settings.max_depth {
             return None;
         }
-        self.scatter(&hit, &si, sampler)
+        self.scatter(&hit, &si, &coating, sampler)
     }
 
     fn side_of(&self, hit: &SurfaceHit) -> Side {
@@ -176,8 +211,8 @@ impl Path<'_> {
     }
 
     /// Next-event estimation and a new direction at a surface.
-    fn scatter(&mut self, hit: &SurfaceHit, si: &Interaction, sampler: &mut Sampler) -> Option<()> {
-        let surface = &self.scene.surfaces[si.surface as usize].surface;
+    fn scatter(&mut self, hit: &SurfaceHit, si: &Interaction, coating: &Coating, sampler: &mut Sampler) -> Option<()> {
+        let surface = &coating.surface;
         let recolored = si.display_color.and_then(|color| surface.with_display_color(color));
         let surface = recolored.as_ref().unwrap_or(surface);
         let bsdf = surface.bsdf(si.local(si.wo), si.side);
@@ -204,9 +239,9 @@ impl Path<'_> {
             }
             Event::Transmit => {
                 (wi.dot(si.ng) * outside_sign(si.side) < 0.0).then_some(())?;
-                self.transmit(hit, si, wi, chosen.delta, chosen.pdf, lights, sampler)
+                self.transmit(hit, si, coating, wi, chosen.delta, chosen.pdf, lights, sampler)
             }
-            Event::EnterSubsurface => self.enter_medium(hit, si, below(wi, si.ng), sampler),
+            Event::EnterSubsurface => self.enter_medium(hit, si, coating, below(wi, si.ng), sampler),
         }
     }
 
@@ -222,16 +257,17 @@ impl Path<'_> {
         &mut self,
         hit: &SurfaceHit,
         si: &Interaction,
+        coating: &Coating,
         wi: Vec3,
         delta: bool,
         pdf: f32,
         lights: LightsAt,
         sampler: &mut Sampler,
     ) -> Option<()> {
-        let interior = self.scene.surfaces[si.surface as usize].interior;
+        let interior = coating.interior;
         let entering = matches!(si.side, Side::Outside);
         if entering && interior.is_some_and(|interior| interior.medium.scatters()) {
-            return self.enter_medium(hit, si, wi, sampler);
+            return self.enter_medium(hit, si, coating, wi, sampler);
         }
         self.inside = if entering {
             self.enter(Inside { instance: si.instance, medium: interior.map(|i| i.medium) })?
@@ -249,6 +285,9 @@ impl Path<'_> {
     fn bounce(&mut self, si: &Interaction, wi: Vec3, delta: bool, pdf: f32, lights: LightsAt) -> Option<()> {
         self.previous =
             if delta { Previous::Delta } else { Previous::Sampled { p: si.p, n: Some(si.ng), pdf, lights } };
+        if !delta {
+            self.cone.scattered(pdf);
+        }
         if matches!(si.side, Side::Inside) && self.inside.contains(si.instance) {
             self.cross()?;
         } else {

@@ -31,8 +31,8 @@ pub fn probe(
     sampler: &mut Sampler,
     stats: &mut PathStats,
 ) -> Record {
-    let si = scene.interaction(&enclosure.surface_hit(hit), -outward, Side::Outside);
-    let coating = &scene.surfaces[si.surface as usize];
+    let mut si = scene.interaction(&enclosure.surface_hit(hit), -outward, Side::Outside);
+    let coating = scene.shade(&mut si, 0.0);
     let eta = coating.interior.filter(|i| i.boundary == Boundary::Dielectric).and(coating.surface.interior());
     // What a dielectric reflects does not enter.
     let entering = |wi: Vec3| eta.map_or(1.0, |i| 1.0 - fresnel::dielectric(wi.dot(si.ng).min(1.0), i.eta));

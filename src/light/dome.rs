@@ -61,6 +61,11 @@ impl Dome {
         self.radiance * self.map.as_ref().map_or(Rgb::ONE, |map| map.lookup(wi))
     }
 
+    /// Whether half of its light or more comes from small suns. Looks at every pixel.
+    pub fn has_suns(&self) -> bool {
+        self.map.as_ref().is_some_and(|map| map.share_of_suns() >= 0.5)
+    }
+
     /// Irradiance if the average came from everywhere.
     pub fn importance(&self) -> f32 {
         PI * self.average

@@ -16,6 +16,9 @@ use crate::{
 use glam::{Mat3, Vec2, Vec3};
 use std::{f64, ops::Range};
 
+/// Pixels this much brighter than the mean of the sphere are suns: together they fill a 25th of it at most.
+const SUN: f64 = 25.0;
+
 /// The image and how brightness is distributed over the cells between its pixel centres.
 #[derive(Debug, Clone)]
 pub struct Map {
@@ -53,6 +56,18 @@ impl Map {
     /// Mean magnitude over the sphere: the weights carry 2 of height for each of `width` columns.
     pub fn average(&self) -> f32 {
         (self.choice.sum() / (2.0 * self.texels.width() as f64)) as f32
+    }
+
+    /// Share of the light that comes from pixels [`SUN`] times as bright as the mean or more.
+    pub fn share_of_suns(&self) -> f64 {
+        let (w, h) = (self.texels.width(), self.texels.height());
+        let (mean, edge) = (f64::from(self.average()), |y: usize| (f64::consts::PI * y as f64 / h as f64).cos());
+        let row = |y: usize| {
+            let of_sphere = 0.5 * (edge(y) - edge(y + 1)) / w as f64;
+            let brightness = (0..w as i64).map(move |x| f64::from(self.texels.magnitude(x, y as i64)) / mean);
+            brightness.filter(|b| *b >= SUN).sum::<f64>() * of_sphere
+        };
+        (0..h).map(row).sum()
     }
 
     /// Direction and its solid-angle pdf: by brightness.

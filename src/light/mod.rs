@@ -17,6 +17,7 @@ mod distant;
 mod dome;
 mod ellipsoid;
 mod emission;
+mod emitter;
 mod latlong;
 mod mesh;
 mod patch;
@@ -33,6 +34,7 @@ pub use choice::{Choice, Parts};
 pub use compile::MeshTriangles;
 pub use distant::Distant;
 pub use dome::Dome;
+pub use emitter::{Emitter, Place};
 pub use shape::{Shape, ShapeHit};
 
 use crate::math::Rgb;
@@ -81,7 +83,7 @@ pub struct LightSample {
 
 /// Shadow rays to a point on a mesh light stop short of it by this share of the distance, so that
 /// the light's own triangle does not shadow it; f32 positions resolve no finer.
-const SHORT: f32 = 1.0 - 1e-4;
+pub const SHORT: f32 = 1.0 - 1e-4;
 
 impl LightSample {
     /// How far a shadow ray has to be free.

@@ -79,15 +79,20 @@ impl Shape {
         }
     }
 
+    /// Outward, not unit.
+    pub fn normal(&self, hit: &ShapeHit) -> Vec3 {
+        match self {
+            Shape::Rect(s) => s.patch.normal,
+            Shape::Disk(s) => s.patch.normal,
+            Shape::Ellipsoid(s) => s.normal(hit),
+            Shape::Cylinder(s) => s.normal(hit),
+            Shape::Mesh(s) => s.normal(hit.triangle),
+        }
+    }
+
     /// Whether the point `hit` emits back along `wi`.
     pub fn emits(&self, wi: Vec3, hit: &ShapeHit) -> bool {
-        match self {
-            Shape::Rect(s) => s.patch.normal.dot(wi) < 0.0,
-            Shape::Disk(s) => s.patch.normal.dot(wi) < 0.0,
-            Shape::Ellipsoid(s) => s.normal(hit).dot(wi) < 0.0,
-            Shape::Cylinder(s) => s.normal(hit).dot(wi) < 0.0,
-            Shape::Mesh(s) => s.normal(hit.triangle).dot(wi) < 0.0,
-        }
+        self.normal(hit).dot(wi) < 0.0
     }
 
     /// Nearest hit of the emitting side with t in (0, t_max); mesh lights are hit as meshes, never here.

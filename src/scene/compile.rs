@@ -1,8 +1,9 @@
 //! From the flattened scene to the compiled one: geometry is kept from commit to commit, the rest is cheap.
 
 use super::accel::{Aabb, Tlas};
-use super::{Coating, Geometry, Instance, Interior, Needs, Scene};
-use crate::bsdf::{self, Boundary, InteriorAlbedo, Surface};
+use super::image::{ImageCache, build_images};
+use super::{Coating, Driven, Geometry, Instance, Interior, Needs, Scene};
+use crate::bsdf::{self, Boundary, InteriorAlbedo, OfMesh, Surface};
 use crate::camera::Camera;
 use crate::error::{Error, Result, Warning};
 use crate::flat::{self, FlatScene, LightShape};
@@ -34,10 +35,11 @@ pub struct CompileStats {
 /// The shortest mean free path, stage units: 1 / sigma_t and sigma_t * t stay finite in f32.
 const MIN_MEAN_FREE_PATH: f32 = 1e-30;
 
-/// Compiles a validated scene; `cache` keeps geometry between calls.
+/// Compiles a validated scene; `cache` and `images` keep geometry and images between calls.
 pub fn compile(
     flat: &FlatScene,
     cache: &mut GeometryCache,
+    images: &mut ImageCache,
     warnings: &mut Vec<Warning>,
 ) -> Result<(Scene, CompileStats)> {
     let start = std::time::Instant::now();
@@ -47,10 +49,11 @@ pub fn compile(
     })?;
     let camera = Camera::compile(camera, &flat.settings);
     let blas_built = build_geometry(flat, cache);
+    build_images(&flat.images, images);
 
     let needs = Needs::default();
-    let (surfaces, coatings) = (Vec::new(), BTreeMap::new());
-    let mut builder = Builder { flat, origin: camera.origin, warnings, needs, surfaces, coatings };
+    let (surfaces, known) = (Vec::new(), BTreeMap::new());
+    let mut builder = Builder { flat, origin: camera.origin, images, warnings, needs, surfaces, known };
     let (mut instances, emitters) = builder.place(cache);
     let lights = builder.lights(&mut instances, emitters);
     builder.count(&camera, &instances, &lights);
@@ -115,11 +118,12 @@ type Emitters = BTreeMap<String, Vec<[Vec3; 3]>>;
 struct Builder<'a> {
     flat: &'a FlatScene,
     origin: DVec3,
+    images: &'a ImageCache,
     warnings: &'a mut Vec<Warning>,
     needs: Needs,
     surfaces: Vec<Coating>,
     /// Of `surfaces`, those that others are alike to: by material, and by what they take from the mesh.
-    coatings: BTreeMap<(String, Option<[u32; 3]>, u32), Coating>,
+    known: BTreeMap<(String, Option<[u32; 3]>, u32), Surface>,
 }
 
 impl Builder<'_> {
@@ -211,7 +215,7 @@ impl Builder<'_> {
         for (material, used) in std::iter::once(&mesh.material).chain(subsets).zip(used) {
             // What no face wears is none of the scene's: its slot is there, with a surface that needs nothing.
             let (material, opacity) = if used { (material.as_str(), geometry.display_opacity) } else { ("", 1.0) };
-            let coating = self.coating(path, material, display_color, opacity);
+            let coating = self.coating(path, geometry, material, display_color, opacity);
             if let Some(interior) = &coating.interior {
                 self.warn_if_open(path, geometry, interior.medium.scatters());
             }
@@ -220,30 +224,45 @@ impl Builder<'_> {
         first
     }
 
-    /// The surface of a material (empty: none) on the mesh at `path`, compiled once for all that are alike: its tables
-    /// take milliseconds.
-    fn coating(&mut self, path: &str, material: &str, display_color: Option<Rgb>, opacity: f32) -> Coating {
+    /// The surface of a material (empty: none) on the mesh at `path`.
+    fn coating(
+        &mut self,
+        path: &str,
+        geometry: &Geometry,
+        material: &str,
+        display_color: Option<Rgb>,
+        display_opacity: f32,
+    ) -> Coating {
+        let prim = if material.is_empty() { path } else { material };
+        let standard = flat::Material::default();
+        let described = self.flat.materials.get(material).unwrap_or(&standard);
+        let boundary_override = boundary_named(&self.flat.settings.subsurface_boundary);
+        let of_mesh = OfMesh { display_color, display_opacity, boundary_override };
+        let driven = Driven::compile(described, geometry, of_mesh, self.images, prim, self.warnings);
+        let (driven, surface) = match driven {
+            Some((driven, typical)) => (Some(Box::new(driven)), typical),
+            None => (None, self.constant_surface(prim, material, display_color, display_opacity)),
+        };
+        let interior = surface.interior().map(|i| compile_interior(&i));
+        Coating { surface, interior, driven }
+    }
+
+    /// Compiled once for all meshes that are alike: its tables take milliseconds.
+    fn constant_surface(&mut self, prim: &str, material: &str, display_color: Option<Rgb>, opacity: f32) -> Surface {
         let key = (material.to_owned(), display_color.map(|c| c.to_array().map(f32::to_bits)), opacity.to_bits());
-        if let Some(known) = self.coatings.get(&key) {
+        if let Some(known) = self.known.get(&key) {
             return known.clone();
         }
         let warned = self.warnings.len();
+        let boundary_override = boundary_named(&self.flat.settings.subsurface_boundary);
         let standard = flat::Material::default();
-        let surface = Surface::compile(
-            self.flat.materials.get(material).unwrap_or(&standard),
-            display_color,
-            opacity,
-            boundary_named(&self.flat.settings.subsurface_boundary),
-            if material.is_empty() { path } else { material },
-            self.warnings,
-        );
-        let interior = surface.interior().map(|i| compile_interior(&i));
-        let coating = Coating { surface, interior };
+        let material = self.flat.materials.get(material).unwrap_or(&standard);
+        let surface = Surface::compile(material, display_color, opacity, boundary_override, prim, self.warnings);
         if self.warnings.len() == warned {
             // Else the next mesh of the kind is to be named, too.
-            self.coatings.insert(key, coating.clone());
+            self.known.insert(key, surface.clone());
         }
-        coating
+        surface
     }
 
     fn warn_if_open(&mut self, path: &str, geometry: &Geometry, scatters: bool) {
@@ -283,11 +302,14 @@ impl Builder<'_> {
         needs.lights = lights.len() as u32;
         needs.infinite_lights = lights.infinite().len() as u32;
         needs.mesh_lights = instances.iter().filter(|i| i.light.is_some()).count() as u32;
-        needs.textures = self.flat.textures.len() as u32;
+        needs.textures = (self.flat.textures.len() + self.images.len()) as u32;
+        needs.texture_bytes = self.images.values().map(|image| image.memory() as u64).sum();
         needs.depth_of_field = camera.has_depth_of_field();
         needs.aovs = self.flat.settings.aovs.clone();
         for coating in &self.surfaces {
-            needs.transparency |= !coating.surface.is_opaque();
+            let driven = coating.driven.as_deref();
+            needs.driven_surfaces += u32::from(driven.is_some());
+            needs.transparency |= !coating.surface.is_opaque() || driven.is_some_and(Driven::opacity);
             let Some(interior) = coating.interior else { continue };
             let medium = interior.medium;
             if !medium.scatters() {
@@ -334,7 +356,7 @@ fn boundary_named(name: &str) -> Option<Boundary> {
 /// Coefficients from what the artist gave: colours go through the inversion for their boundary. Diffuse and
 /// index-matched boundaries reflect nothing back in (eta 1); OpenPBR defines the colour behind a dielectric
 /// for light at normal incidence.
-fn compile_interior(interior: &bsdf::Interior) -> Interior {
+pub(super) fn compile_interior(interior: &bsdf::Interior) -> Interior {
     let albedo = match interior.albedo {
         InteriorAlbedo::Single(albedo) => albedo,
         InteriorAlbedo::Color(color) => {
@@ -377,7 +399,7 @@ mod tests {
         flat.materials.insert("/Plain".into(), preview(PreviewSurface::default()));
         flat.materials.insert("/Wax".into(), preview(PreviewSurface { subsurface: 1.0, ..PreviewSurface::default() }));
         flat.meshes.extend(meshes.into_iter().map(|(path, mesh)| (path.to_owned(), mesh)));
-        compile(&flat, &mut GeometryCache::new(), &mut Vec::new()).expect("a scene").0
+        compile(&flat, &mut GeometryCache::new(), &mut ImageCache::new(), &mut Vec::new()).expect("a scene").0
     }
 
     /// Surfaces that meshes have in common are compiled once, and each mesh still shows its own colour.

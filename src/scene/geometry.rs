@@ -1,9 +1,10 @@
 //! A mesh made ready for rays: triangles about their centre, a BVH, and attributes at the corners.
 
 use super::accel::Blas;
-use crate::flat::{self, Interpolation, Orientation, Primvar, array::Element};
+use crate::flat::{self, AnyPrimvar, Interpolation, Orientation, Primvar, array::Element};
 use crate::subdivision::{self, Refinement};
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Vec2, Vec3, Vec4};
+use std::collections::BTreeMap;
 
 /// Values over a mesh, by the cheapest index that carries them.
 #[derive(Debug, Clone, PartialEq)]
@@ -20,13 +21,80 @@ pub enum Attribute<T> {
 impl<T: Copy + std::ops::Mul<f32, Output = T> + std::ops::Add<Output = T>> Attribute<T> {
     /// Linear interpolation at barycentrics (1 - u - v, u, v).
     pub fn at(&self, triangle: usize, corners: [u32; 3], u: f32, v: f32) -> T {
-        let [a, b, c] = match self {
-            Attribute::Constant(value) => return *value,
-            Attribute::Triangle(values) => return values[triangle],
+        match self {
+            Attribute::Constant(value) => *value,
+            Attribute::Triangle(values) => values[triangle],
+            _ => {
+                let [a, b, c] = self.corners(triangle, corners);
+                a * (1.0 - u - v) + b * u + c * v
+            }
+        }
+    }
+
+    /// Values at the corners of a triangle.
+    pub fn corners(&self, triangle: usize, corners: [u32; 3]) -> [T; 3] {
+        match self {
+            Attribute::Constant(value) => [*value; 3],
+            Attribute::Triangle(values) => [values[triangle]; 3],
             Attribute::Point(values) => corners.map(|i| values[i as usize]),
             Attribute::Corner(values) => values[triangle],
-        };
-        a * (1.0 - u - v) + b * u + c * v
+        }
+    }
+
+    /// Bytes beside the value itself.
+    fn memory(&self) -> usize {
+        match self {
+            Attribute::Constant(_) => 0,
+            Attribute::Point(values) | Attribute::Triangle(values) => size_of_val(values.as_slice()),
+            Attribute::Corner(values) => size_of_val(values.as_slice()),
+        }
+    }
+}
+
+/// A primvar that materials read, by its number of components.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Values {
+    One(Attribute<f32>),
+    Two(Attribute<Vec2>),
+    Three(Attribute<Vec3>),
+    Four(Attribute<Vec4>),
+}
+
+impl Values {
+    fn new(primvar: &AnyPrimvar, soup: &Triangulation) -> Self {
+        match primvar {
+            AnyPrimvar::Float(primvar) => Self::One(attribute(primvar, soup, |v| v)),
+            AnyPrimvar::Float2(primvar) => Self::Two(attribute(primvar, soup, Vec2::from)),
+            AnyPrimvar::Float3(primvar) => Self::Three(attribute(primvar, soup, Vec3::from)),
+            AnyPrimvar::Float4(primvar) => Self::Four(attribute(primvar, soup, Vec4::from)),
+        }
+    }
+
+    /// One number fills all lanes, a shorter vector has zeros behind it.
+    pub fn at(&self, triangle: usize, corners: [u32; 3], u: f32, v: f32) -> Vec4 {
+        match self {
+            Self::One(values) => Vec4::splat(values.at(triangle, corners, u, v)),
+            Self::Two(values) => values.at(triangle, corners, u, v).extend(0.0).extend(0.0),
+            Self::Three(values) => values.at(triangle, corners, u, v).extend(0.0),
+            Self::Four(values) => values.at(triangle, corners, u, v),
+        }
+    }
+
+    fn memory(&self) -> usize {
+        fn bytes<T>(values: &Attribute<T>) -> usize {
+            size_of::<T>()
+                * match values {
+                    Attribute::Constant(_) => 1,
+                    Attribute::Point(values) | Attribute::Triangle(values) => values.len(),
+                    Attribute::Corner(values) => 3 * values.len(),
+                }
+        }
+        match self {
+            Self::One(values) => bytes(values),
+            Self::Two(values) => bytes(values),
+            Self::Three(values) => bytes(values),
+            Self::Four(values) => bytes(values),
+        }
     }
 }
 
@@ -40,6 +108,8 @@ pub struct Geometry {
     pub normals: Option<Attribute<Vec3>>,
     pub display_color: Option<Attribute<Vec3>>,
     pub display_opacity: f32,
+    /// Those that materials read.
+    pub primvars: BTreeMap<String, Values>,
     /// Material slot per triangle: 0 the mesh's own, i the (i-1)th GeomSubset; `None`: all 0.
     pub slots: Option<Vec<u16>>,
     /// `None`: not a subdivision surface.
@@ -90,6 +160,7 @@ impl Geometry {
             normals,
             display_color: mesh.display_color.as_ref().map(|c| attribute(c, &soup, Vec3::from)),
             display_opacity: mesh.display_opacity.as_ref().and_then(|o| o.values.first().copied()).unwrap_or(1.0),
+            primvars: mesh.primvars.iter().map(|(name, primvar)| (name.clone(), Values::new(primvar, &soup))).collect(),
             slots: slots(mesh, &soup.faces),
             points,
             triangles: soup.triangles,
@@ -123,8 +194,13 @@ impl Geometry {
         used
     }
 
+    /// Bytes, attributes and BVH included.
     pub fn memory(&self) -> usize {
-        self.points.len() * 12 + self.triangles.len() * 12 + self.blas.memory()
+        let attributes = [&self.normals, &self.display_color].into_iter().flatten().map(Attribute::memory);
+        let primvars = self.primvars.values().map(Values::memory).sum::<usize>();
+        let slots = self.slots.as_ref().map_or(0, |slots| size_of_val(slots.as_slice()));
+        let indexed = size_of_val(self.points.as_slice()) + size_of_val(self.triangles.as_slice());
+        indexed + self.blas.memory() + attributes.sum::<usize>() + primvars + slots
     }
 
     /// Edges (between points welded by position) that do not join faces in pairs: what keeps the mesh from

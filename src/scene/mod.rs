@@ -2,13 +2,18 @@
 
 pub mod accel;
 mod compile;
+mod driven;
 mod enclosure;
 mod geometry;
+mod image;
 mod needs;
+mod network;
 
 pub use compile::{CompileStats, GeometryCache, compile};
+pub use driven::Driven;
 pub use enclosure::{BoundaryHit, InstanceEnclosure};
 pub use geometry::{Attribute, Geometry};
+pub use image::{ImageCache, fit_images};
 pub use needs::{Explanation, Needs};
 
 use crate::bsdf::{Boundary, Side, Surface};
@@ -18,7 +23,7 @@ use crate::light::{Lights, ShapeHit};
 use crate::math::{Affine, Frame};
 use crate::medium::Medium;
 use accel::{Ray, Tlas};
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 use std::sync::Arc;
 
 /// The inside of a surface that has one.
@@ -45,10 +50,28 @@ pub struct Instance {
 }
 
 /// A surface and what it encloses.
-#[derive(Debug, Clone)]
 pub struct Coating {
     pub surface: Surface,
     pub interior: Option<Interior>,
+    /// What differs from point to point; surface and interior are then the typical ones.
+    pub driven: Option<Box<Driven>>,
+}
+
+/// The coating at a point.
+#[allow(clippy::large_enum_variant)] // on the stack, where a box would cost an allocation per vertex
+pub enum CoatingAt<'a> {
+    Constant(&'a Coating),
+    Driven(Coating),
+}
+
+impl std::ops::Deref for CoatingAt<'_> {
+    type Target = Coating;
+    fn deref(&self) -> &Coating {
+        match self {
+            Self::Constant(coating) => coating,
+            Self::Driven(coating) => coating,
+        }
+    }
 }
 
 pub struct Scene {
@@ -202,6 +225,7 @@ impl Scene {
             side,
             instance: hit.instance,
             triangle: hit.triangle,
+            barycentric: Vec2::new(hit.u, hit.v),
             surface: instance.surfaces + geometry.slot(hit.triangle) as u32,
             front,
             display_color: match &geometry.display_color {
@@ -211,4 +235,64 @@ impl Scene {
             },
         }
     }
+
+    /// The coating at `si`, whose shading normal it may bend. `width`: of the ray's footprint across the ray.
+    pub fn shade(&self, si: &mut Interaction, width: f32) -> CoatingAt<'_> {
+        let coating = &self.surfaces[si.surface as usize];
+        match &coating.driven {
+            None => CoatingAt::Constant(coating),
+            Some(driven) => CoatingAt::Driven(self.drive(driven, si, width)),
+        }
+    }
+
+    /// Bends the shading normal of `si`, if its material does.
+    pub fn bend(&self, si: &mut Interaction, width: f32) {
+        if let Some(driven) = self.surfaces[si.surface as usize].driven.as_ref().filter(|driven| driven.bends()) {
+            self.drive(driven, si, width);
+        }
+    }
+
+    fn drive(&self, driven: &Driven, si: &mut Interaction, width: f32) -> Coating {
+        let instance = &self.instances[si.instance as usize];
+        let geometry = &instance.geometry;
+        let lookup = network::Lookup {
+            primvars: &geometry.primvars,
+            triangle: si.triangle as usize,
+            corners: geometry.triangles[si.triangle as usize],
+            at: si.barycentric,
+            across: Some(footprint(instance, si, width)),
+        };
+        let outward = matches!(si.side, Side::Outside) == si.front;
+        let turn = if outward { 1.0 } else { -1.0 };
+        let (coating, bent) = driven.at(instance, &lookup, si.display_color, si.frame.n * turn);
+        if let Some(n) = bent {
+            // As in `interaction`.
+            let n = n * turn;
+            si.frame = Frame::from_normal(match si.side {
+                Side::Outside => shading_normal(n, si.ng, si.wo),
+                Side::Inside => -shading_normal(-n, -si.ng, si.wo),
+            });
+        }
+        coating
+    }
+}
+
+/// Grazing footprints are cut to this many widths: images beyond are averaged by the samples of a pixel.
+const LONGEST_FOOTPRINT: f32 = 16.0;
+
+/// Offsets in barycentrics of two points beside `si`: along the ray's projection, and across it.
+fn footprint(instance: &Instance, si: &Interaction, width: f32) -> [Vec2; 2] {
+    let [a, b, c] = instance.geometry.corners(si.triangle);
+    let [e1, e2] = [b - a, c - a].map(|edge| instance.to_render.vector(edge));
+    let cos = si.wo.dot(si.ng);
+    let along = (si.wo - si.ng * cos).try_normalize().unwrap_or_else(|| si.ng.any_orthonormal_vector());
+    let stretch = cos.abs().recip().min(LONGEST_FOOTPRINT);
+    let (m11, m12, m22) = (e1.length_squared(), e1.dot(e2), e2.length_squared());
+    let determinant = m11 * m22 - m12 * m12;
+    [along * (width * stretch), si.ng.cross(along) * width].map(|offset| {
+        let (x, y) = (offset.dot(e1), offset.dot(e2));
+        let barycentric = Vec2::new(m22 * x - m12 * y, m11 * y - m12 * x) / determinant;
+        // A needle without area in f32 is seen whole: a point of it.
+        if barycentric.is_finite() { barycentric } else { Vec2::ZERO }
+    })
 }

@@ -19,6 +19,10 @@ pub struct Needs {
     pub mesh_lights: u32,
     pub infinite_lights: u32,
     pub textures: u32,
+    /// Of the images of materials, all levels.
+    pub texture_bytes: u64,
+    /// Surfaces with inputs that are driven: compiled anew at every point.
+    pub driven_surfaces: u32,
     /// Media by boundary.
     pub diffuse_media: u32,
     pub dielectric_media: u32,
@@ -123,8 +127,14 @@ impl Needs {
             line(
                 "textures",
                 self.textures > 0,
-                count(self.textures, "images"),
+                format!("{}, {:.1} MB for materials", count(self.textures, "images"), self.texture_bytes as f64 / 1e6),
                 "no image on anything that is rendered",
+            ),
+            line(
+                "driven surfaces",
+                self.driven_surfaces > 0,
+                count(self.driven_surfaces, "surfaces with inputs that images, primvars or nodes drive"),
+                "every input of every surface is a constant",
             ),
             line(
                 "depth of field",

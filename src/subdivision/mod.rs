@@ -17,11 +17,11 @@ mod limit;
 mod loop_scheme;
 mod topology;
 
-use crate::flat::{self, Array, GeomSubset, Interpolation, Mesh, Orientation, Primvar, array::Element};
+use crate::flat::{self, AnyPrimvar, Array, GeomSubset, Interpolation, Mesh, Orientation, Primvar, array::Element};
 use cage::Cage;
 use creases::Rules;
 use face_varying::Linear;
-use glam::{Vec2, Vec3};
+use glam::{Vec2, Vec3, Vec4};
 use topology::Topology;
 
 /// UsdImaging's highest refine level.
@@ -94,7 +94,7 @@ pub fn refine(mesh: &Mesh, points: &[Vec3], level: u32) -> Refined {
         hole_indices: cage.holes.iter().flat_map(|f| per_face(*f).0).map(|f| f as i32).collect::<Vec<_>>().into(),
         subdivision_scheme: "none".into(),
         normals,
-        st: mesh.st.as_ref().map(|p| primvars.refine::<_, Vec2>(p)),
+        primvars: mesh.primvars.iter().map(|(name, primvar)| (name.clone(), primvars.any(primvar))).collect(),
         display_color: mesh.display_color.as_ref().map(|p| primvars.refine::<_, Vec3>(p)),
         display_opacity: mesh.display_opacity.as_ref().map(|p| primvars.refine::<_, f32>(p)),
         geom_subsets: mesh.geom_subsets.iter().map(|subset| below(subset, &parents)).collect(),
@@ -259,6 +259,15 @@ struct Primvars<'a> {
 }
 
 impl Primvars<'_> {
+    fn any(&self, primvar: &AnyPrimvar) -> AnyPrimvar {
+        match primvar {
+            AnyPrimvar::Float(primvar) => AnyPrimvar::Float(self.refine::<_, f32>(primvar)),
+            AnyPrimvar::Float2(primvar) => AnyPrimvar::Float2(self.refine::<_, Vec2>(primvar)),
+            AnyPrimvar::Float3(primvar) => AnyPrimvar::Float3(self.refine::<_, Vec3>(primvar)),
+            AnyPrimvar::Float4(primvar) => AnyPrimvar::Float4(self.refine::<_, Vec4>(primvar)),
+        }
+    }
+
     fn refine<T: Element + Into<V>, V: Value + Into<T>>(&self, primvar: &Primvar<T>) -> Primvar<T> {
         let lower = |values: Vec<V>| values.into_iter().map(Into::into).collect::<Vec<T>>().into();
         let of_points = || -> Vec<V> {

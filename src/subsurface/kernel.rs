@@ -63,11 +63,16 @@ impl Kernel {
             return Self { kappa, alpha_hat, complement, form: Form::Isotropic(dwivedi) };
         }
         if albedo > MAX_ALBEDO || g.abs() > MAX_G {
-            return Self { kappa: 0.0, alpha_hat: 1.0, complement: 1.0, form: Form::Classical(g) };
+            return Self::classical(g);
         }
         let eigenfunction = Eigenfunction::new(albedo.max(min_albedo(g)), g);
         let Eigenfunction { kappa, complement, alpha_hat, .. } = eigenfunction;
         Self { kappa, alpha_hat, complement, form: Form::Anisotropic { g, eigenfunction: Arc::new(eigenfunction) } }
+    }
+
+    /// Directions of the phase function, distances of the medium.
+    pub fn classical(g: f32) -> Self {
+        Self { kappa: 0.0, alpha_hat: 1.0, complement: 1.0, form: Form::Classical(g) }
     }
 
     /// 1 - kappa n.w: extinction of the kernel's distances over sigma_t. Relative error of a few roundings.

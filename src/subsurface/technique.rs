@@ -173,7 +173,15 @@ pub struct GuidedMedium {
 
 impl GuidedMedium {
     pub fn new(medium: Medium) -> Self {
-        let kernels = [0, 1, 2].map(|c| Kernel::new(medium.albedo[c], medium.g));
+        Self::with_kernels(medium, [0, 1, 2].map(|c| Kernel::new(medium.albedo[c], medium.g)))
+    }
+
+    /// For classical walks only: quick for any phase function.
+    pub fn unguided(medium: Medium) -> Self {
+        Self::with_kernels(medium, [0, 1, 2].map(|_| Kernel::classical(medium.g)))
+    }
+
+    fn with_kernels(medium: Medium, kernels: [Kernel; 3]) -> Self {
         let scale = medium.sigma_t.max_element();
         let sigma = medium.sigma_t.as_dvec3() / f64::from(scale);
         // A channel without extinction or scattering never collides: 1e-300 per collision is as good as never.

@@ -1,4 +1,4 @@
-"""Runs examples/phases.rs on a stage: natively for seconds and bytes, under callgrind for instructions."""
+"""Runs phases.rs on a stage: natively for seconds and bytes, under callgrind for instructions."""
 
 import json
 import re

@@ -213,7 +213,7 @@ def test_methods_are_interleaved_in_seeded_order(tmp_path):
 
 def test_rigs_are_described_for_the_stages_that_exist(shared_scenes):
     read = suite_of("--spec", RIGS)
-    assert len(read.scenes) == 12
+    assert len(read.scenes) == 13
     from pxr import Usd
 
     for scene in read.scenes:

@@ -582,3 +582,51 @@ def test_trace_of_usd(stage, tmp_path):
         run("record", file, tmp_path / "a.exr", "--traceToFile", trace, "--traceFormat", "trace", *SMALL) == 0
     )
     assert trace.stat().st_size > 0
+
+
+MAPPED = """
+    def Material "Map"
+    {
+        token outputs:surface.connect = </World/Map/Surface.outputs:surface>
+        def Shader "Surface"
+        {
+            uniform token info:id = "UsdPreviewSurface"
+            color3f inputs:diffuseColor.connect = </World/Map/Reader.outputs:result>
+            token outputs:surface
+        }
+        def Shader "Reader"
+        {
+            uniform token info:id = "UsdPrimvarReader_float3"
+            string inputs:varname = "tint"
+            float3 outputs:result
+        }
+    }
+"""
+
+
+@pytest.mark.parametrize("body", ["surface", "curve"])
+def test_primvars_that_a_material_reads_follow_refinement(stage, body):
+    """Red on the left, green on the right: by face of the cage, and along a tube."""
+    binding = "        rel material:binding = </World/Map>\n    }\n"
+    tint = 'float3[] primvars:tint = [%s] (\n            interpolation = "%s"\n        )\n'
+    if body == "surface":
+        red, green, blue = "(0.8, 0, 0)", "(0, 0.8, 0)", "(0, 0, 0.8)"
+        faces = tint % (", ".join([blue, blue, blue, blue, red, green]), "uniform")
+        prim = BALL.replace("    }\n", faces + binding).replace(
+            '"Ball"', '"Ball" (prepend apiSchemas = ["MaterialBindingAPI"])'
+        )
+    else:
+        ends = tint % ("(0.8, 0, 0), (0, 0.8, 0)", "vertex")
+        prim = f"""
+    def BasisCurves "Rope" (prepend apiSchemas = ["MaterialBindingAPI"])
+    {{
+        uniform token type = "linear"
+        int[] curveVertexCounts = [2]
+        point3f[] points = [(-1, 0, 0), (1, 0, 0)]
+        float[] widths = [0.8] (
+            interpolation = "constant"
+        )
+        {ends}{binding}"""
+    image = render(stage(prim, MAPPED, CAMERA, DOME), resolution=(64, 64), samples=8, refineLevel=2)
+    left, right = image["albedo"][:, :32].mean((0, 1)), image["albedo"][:, 32:].mean((0, 1))
+    assert left[0] > 2 * left[1] and right[1] > 2 * right[0] and left[0] == pytest.approx(right[1], rel=0.2)

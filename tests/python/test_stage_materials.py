@@ -120,10 +120,10 @@ def node(name: str, shader_id: str, body: str) -> str:
         ),
         ("float4 inputs:fallback = (0.1, 0.2, 0.3, 0.4)", "g", "float inputs:roughness", 0.2),
         ("float4 inputs:fallback = (0.1, 0.2, 0.3, 0.4)", "a", "float inputs:opacity", 0.4),
-        ("", "rgb", "color3f inputs:diffuseColor", None),
+        ("", "rgb", "color3f inputs:diffuseColor", [0.0, 0.0, 0.0]),
     ],
 )
-def test_textures_give_their_fallback(flat, fallback, output, target, expected):
+def test_missing_textures_give_their_fallback(flat, fallback, output, target, expected):
     texture = node(
         "T",
         "UsdUVTexture",
@@ -134,19 +134,20 @@ def test_textures_give_their_fallback(flat, fallback, output, target, expected):
         + ball()
     )
     value = result.prims["/M"].get(target.split(":")[1])
-    assert value == (expected if expected is None else pytest.approx(expected))
-    ((prim, message),) = result.warnings
-    assert prim == "/M/S" and "textures are not supported yet: using the fallback" in message
+    assert value == pytest.approx(expected)
+    assert result.warnings == [("/M/T", "inputs:file: a.png: the file was not found; the fallback is used")]
 
 
-def test_materialx_image_gives_its_default(flat):
+def test_missing_materialx_image_gives_its_default(flat):
     image = node(
-        "T", "ND_image_color3", "        color3f inputs:default = (1, 0, 0)\n        color3f outputs:out"
+        "T",
+        "ND_image_color3",
+        "        color3f inputs:default = (1, 0, 0)\n        asset inputs:file = @no.exr@\n        color3f outputs:out",
     )
     inputs = "        color3f inputs:base_color.connect = </M/T.outputs:out>"
     result = flat(material("ND_open_pbr_surface_surfaceshader", inputs, extra=image) + ball())
     assert result.prims["/M"]["base_color"] == [1.0, 0.0, 0.0]
-    assert "using the fallback" in result.warnings[0][1]
+    assert result.warnings == [("/M/T", "inputs:file: no.exr: the file was not found; the fallback is used")]
 
 
 def test_display_color_reader_leaves_diffuse_unset(flat):
@@ -167,7 +168,8 @@ def test_display_color_reader_leaves_diffuse_unset(flat):
         ("ND_standard_surface_surfaceshader", "float inputs:coat_affect_color = 1", "coat_affect_color"),
         ("ND_standard_surface_surfaceshader", "bool inputs:thin_walled = 1", "thin_walled"),
         ("ND_open_pbr_surface_surfaceshader", "float inputs:thin_film_weight = 1", "thin_film_weight"),
-        ("UsdPreviewSurface", "normal3f inputs:normal = (0, 1, 1)", "normal"),
+        ("UsdPreviewSurface", "float inputs:displacement = 0.5", "displacement"),
+        ("ND_standard_surface_surfaceshader", "vector3f inputs:normal = (0, 1, 1)", "normal"),
         ("UsdPreviewSurface", "float inputs:nonsense = 1", "nonsense"),
         ("UsdPreviewSurface", "string inputs:roughness = 'x'", "roughness"),
         ("UsdPreviewSurface", "float inputs:roughness = nan", "roughness"),

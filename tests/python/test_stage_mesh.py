@@ -38,6 +38,33 @@ def test_unauthored_scheme_is_catmull_clark_without_normals(flat):
     assert "normals" not in result.prims["/M"] and result.warnings == []
 
 
+READER = """
+def Material "Reads"
+{
+    token outputs:surface.connect = </Reads/S.outputs:surface>
+    def Shader "S"
+    {
+        uniform token info:id = "UsdPreviewSurface"
+        color3f inputs:diffuseColor.connect = </Reads/R.outputs:result>
+        token outputs:surface
+    }
+    def Shader "R"
+    {
+        uniform token info:id = "UsdPrimvarReader_float2"
+        string inputs:varname = "st"
+        float2 inputs:fallback = (0, 1)
+        float2 outputs:result
+    }
+}
+"""
+
+
+def reading(extra: str) -> str:
+    """The mesh with a material that reads st."""
+    bound = mesh(f"    rel material:binding = </Reads>\n{extra}")
+    return READER + bound.replace('"M"', '"M" (prepend apiSchemas = ["MaterialBindingAPI"])', 1)
+
+
 @pytest.mark.parametrize(
     ("interpolation", "count"),
     [("constant", 1), ("uniform", 2), ("varying", 5), ("vertex", 5), ("faceVarying", 7)],
@@ -45,14 +72,15 @@ def test_unauthored_scheme_is_catmull_clark_without_normals(flat):
 def test_every_interpolation(flat, interpolation, count):
     values = ", ".join(f"({i}, 0)" for i in range(count))
     primvar = f'    texCoord2f[] primvars:st = [{values}] (\n        interpolation = "{interpolation}"\n    )'
-    st = flat(mesh(primvar)).prims["/M"]["st"]
-    assert st["interpolation"] == interpolation
+    st = flat(reading(primvar)).prims["/M"]["primvars"]["st"]
+    assert st["type"] == "float2" and st["interpolation"] == interpolation
     assert st["values"].shape == (count, 2)
     assert "indices" not in st
     wrong = primvar.replace("(0, 0)", "(0, 0), (9, 9)")
-    result = flat(mesh(wrong))
+    assert "primvars" not in flat(mesh(primvar)).prims["/M"], "nobody reads it"
+    result = flat(reading(wrong))
     problem = f"{count + 1} values where {interpolation} interpolation needs {count}"
-    assert "st" not in result.prims["/M"]
+    assert "primvars" not in result.prims["/M"]
     assert result.warnings == [("/M", f"primvars:st: {problem}; it is ignored")]
 
 

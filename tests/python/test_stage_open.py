@@ -129,3 +129,28 @@ def test_arrays_are_views_of_usd_memory(make_stage):
     )
     held = np.asarray(stage.GetPrimAtPath("/M").GetAttribute("points").Get(Usd.TimeCode.Default()))
     assert np.shares_memory(flatten(stage).prims["/M"]["points"], held)
+
+
+def test_materialx_files_say_what_reads_them(tmp_path):
+    """usd-core has no reader; with usd-exchange the material is there."""
+    (tmp_path / "red.mtlx").write_text(
+        '<?xml version="1.0"?>\n<materialx version="1.38">\n'
+        '  <standard_surface name="SR" type="surfaceshader">'
+        '<input name="base_color" type="color3" value="0.75, 0.25, 0.125"/></standard_surface>\n'
+        '  <surfacematerial name="Red" type="material">'
+        '<input name="surfaceshader" type="surfaceshader" nodename="SR"/></surfacematerial>\n</materialx>\n'
+    )
+    text = (
+        '#usda 1.0\ndef "Looks" (\n    references = @red.mtlx@</MaterialX/Materials>\n)\n{\n}\n'
+        'def Sphere "B" (\n    prepend apiSchemas = ["MaterialBindingAPI"]\n)\n{\n'
+        "    rel material:binding = </Looks/Red>\n}\n"
+    )
+    (tmp_path / "a.usda").write_text(text)
+    result = flatten(open_stage(tmp_path / "a.usda"))
+    if "/Looks/Red" in result.prims:
+        assert result.prims["/Looks/Red"]["base_color"] == [0.75, 0.25, 0.125]
+        return
+    prim, message = result.warnings[0]
+    assert prim == "/Looks" and message.endswith("pip install usd-exchange MaterialX")
+    with pytest.raises(StageError, match="pip install usd-exchange MaterialX"):
+        open_stage(tmp_path / "red.mtlx")

@@ -10,7 +10,7 @@ from .camera import flatten_camera
 from .instancer import Matrices, nested
 from .light import flatten_light
 from .material import flatten_material
-from .mesh import MESH_TYPES, flatten_mesh, flatten_subsets
+from .mesh import MESH_TYPES, flatten_mesh, flatten_read_primvars, flatten_subsets
 from .points import flatten_points
 from .reading import Reader
 from .skel import Skins
@@ -28,11 +28,15 @@ class Emitter:
         self.domes_visible = domes_visible
         self.skins = Skins(reader)
         self.prims: dict[str, Prim] = {}
+        # Images of lights and of materials.
         self.textures: dict[str, Prim] = {}
+        self.images: dict[str, Prim] = {}
         # Instancers that place a mesh at all.
         self.instancers: set[str] = set()
         # Where the path of the material bound to a prim goes; all bindings are resolved in one batch.
         self.bindables: list[tuple[Usd.Prim, Prim]] = []
+        # Meshes whose primvars wait for their materials to say which they read.
+        self.meshes: list[tuple[Found, Prim]] = []
 
     def emit(self, placements: dict[Frame, Matrices]) -> dict[str, Prim]:
         """Flat prims by key, from the frames and their world placements."""
@@ -40,7 +44,9 @@ class Emitter:
             if len(matrices):
                 self.frame(frame, matrices)
         self.bind()
-        return {**self.prims, **self.textures}
+        for found, mesh in self.meshes:
+            self.guarded(found, lambda found=found, mesh=mesh: self.read_primvars(found, mesh))
+        return {**self.prims, **self.textures, **self.images}
 
     def frame(self, frame: Frame, matrices: Matrices) -> None:
         is_world = frame.root == 0
@@ -82,6 +88,7 @@ class Emitter:
             return None
         mesh = {"type": "Mesh", "visible": found.context.visible, "material": "", "instancer": "", **fields}
         self.bindables.append((found.prim, mesh))
+        self.meshes.append((found, mesh))
         subsets = flatten_subsets(found.prim, self.reader) if found.kind == "Mesh" else []
         self.bindables.extend(subsets)
         mesh["geomSubsets"] = [subset for _, subset in subsets]
@@ -115,6 +122,7 @@ class Emitter:
         )
         copies = [mesh] + [dict(mesh) for _ in keys[1:]]
         self.bindables.extend((found.prim, copy) for copy in copies[1:])
+        self.meshes.extend((found, copy) for copy in copies[1:])
         for key, copy, matrix in zip(keys, copies, local_to_world(found, matrices), strict=True):
             copy["transform"] = self.reader.matrix(found.prim, matrix.tolist())
             self.prims[key] = copy
@@ -144,11 +152,28 @@ class Emitter:
                     prim, f"{source.GetName()}: {targets[-1]} is no material; displayColor is used"
                 )
 
+    def read_primvars(self, found: Found, mesh: Prim) -> None:
+        """The primvars that the materials of a mesh read, and what they are for where they have no fallback."""
+        names: dict[str, str] = {}
+        for key in (mesh["material"], *(subset["material"] for subset in mesh["geomSubsets"])):
+            network = self.prims.get(key, {}).get("network", {})
+            if network.get("tangents"):
+                names.setdefault(network["tangents"], "")
+            for node in network.get("nodes", ()):
+                if node["node"] == "primvar":
+                    plain = not any(node["fallback"])
+                    names[node["varname"]] = key if plain else names.get(node["varname"], "")
+        if names:
+            inherited = found.context.inherited()
+            primvars = flatten_read_primvars(found.prim, found.kind, mesh, names, self.reader, inherited)
+            if primvars:
+                mesh["primvars"] = primvars
+
     def material(self, prim: Usd.Prim) -> str:
         key = canonical_path(prim)
         if key not in self.prims:
             try:
-                self.prims[key] = flatten_material(prim, self.reader)
+                self.prims[key] = flatten_material(prim, self.reader, self.images)
             except Exception as error:  # as above
                 self.reader.warn(prim, f"cannot be read ({error}); displayColor is used")
                 self.prims[key] = {"type": "Material", "shader": "UsdPreviewSurface"}

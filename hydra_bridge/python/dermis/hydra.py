@@ -40,7 +40,7 @@ MESH_BITS = {
     "refineLevel": DirtyBits.TOPOLOGY,
     "points": DirtyBits.POINTS,
     "transform": DirtyBits.TRANSFORM,
-    "st": DirtyBits.PRIMVAR,
+    "primvars": DirtyBits.PRIMVAR,
     "displayColor": DirtyBits.PRIMVAR,
     "displayOpacity": DirtyBits.PRIMVAR,
     "normals": DirtyBits.NORMALS,

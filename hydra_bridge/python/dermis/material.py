@@ -1,9 +1,11 @@
-"""Materials: the surface shader behind the outputs, its inputs followed through their connections."""
+"""Materials: the surface shader behind the outputs, and what its inputs are or are driven by."""
 
 from typing import Any
 
 from pxr import Usd, UsdShade
 
+from .graph import Graph, shader_id
+from .network import Unsupported, Value, constant
 from .reading import Reader
 from .shaders import ANY, SHADERS, Shader
 
@@ -13,21 +15,29 @@ PLAIN: Fields = {"type": "Material", "shader": "UsdPreviewSurface"}
 """Nothing authored: displayColor of the mesh, or 18 % grey."""
 
 
-def flatten_material(prim: Usd.Prim, reader: Reader) -> Fields:
-    """Fields of `flat::Material`; only authored inputs, the rest has its specification's default."""
+def flatten_material(prim: Usd.Prim, reader: Reader, images: dict[str, Fields]) -> Fields:
+    """Fields of `flat::Material`; only authored inputs, the rest has its specification's default. What drives inputs
+    is in `network`, the images that it reads are added to `images`."""
     surface = find_surface(prim, reader)
     if surface is None:
         return dict(PLAIN)
     node, shader = surface
     fields = {"type": "Material", "shader": shader.name}
+    graph = Graph(reader, images)
+    # displayColor as diffuseColor is what an unauthored diffuseColor means, but then displayOpacity counts by itself.
+    opacity = UsdShade.Shader(node).GetInput("opacity")
+    left = {"diffuseColor": "displayColor"} if not reads_primvar(opacity, "displayOpacity", reader) else {}
     for shader_input in UsdShade.Shader(node).GetInputs():
         name = shader_input.GetBaseName()
         if name in shader.inputs:
-            value = input_value(shader_input, shader.inputs[name], reader)
-            if value is not None:
-                fields[name] = list(value) if isinstance(value, tuple) else value
+            if name not in left or not reads_primvar(shader_input, left[name], reader):
+                set_input(fields, graph, shader_input, shader.inputs[name])
+        elif name == shader.normal:
+            set_normal(graph, shader_input, shader)
         elif name not in shader.idle:
-            warn_ignored(shader_input, shader, reader)
+            warn_ignored(graph, shader_input, shader)
+    if graph.inputs:
+        fields["network"] = graph.flattened()
     if UsdShade.Material(prim).GetDisplacementOutput().HasConnectedSource():
         reader.warn(prim, "outputs:displacement: displacement is not supported yet; ignored")
     return fields
@@ -71,89 +81,77 @@ def source_node(output: UsdShade.Output) -> Usd.Prim | None:
     return None
 
 
-def shader_id(node: Usd.Prim) -> str:
-    identifier = UsdShade.Shader(node).GetIdAttr().Get()
-    return identifier if isinstance(identifier, str) else ""
-
-
-def warn_ignored(shader_input: UsdShade.Input, shader: Shader, reader: Reader) -> None:
-    node, name = shader_input.GetPrim(), shader_input.GetBaseName()
+def warn_ignored(graph: Graph, shader_input: UsdShade.Input, shader: Shader) -> None:
+    node, name, reader = shader_input.GetPrim(), shader_input.GetBaseName(), graph.reader
     if name not in shader.ignored:
         reader.warn(node, f"inputs:{name}: not an input of {shader.name}; ignored")
         return
-    default = shader.ignored[name]
-    value = input_value(shader_input, default, reader, quiet=True) if default is not ANY else None
-    if shader_input.HasConnectedSource() or (default is ANY and shader_input.Get() is not None):
+    default, source = shader.ignored[name], graph.source(shader_input)
+    if source is None:
+        return
+    value = None if graph.is_output(source) else source.Get(reader.time)
+    if graph.is_output(source) or (default is ANY and value is not None):
         reader.warn(node, f"inputs:{name}: not supported yet; ignored")
-    elif value is not None and value != default:
+    elif value is not None and (value := reader.coerced(node, f"inputs:{name}", value, default)) != default:
         reader.warn(
             node, f"inputs:{name}: not supported yet; {value} is ignored, the default {default} rendered"
         )
 
 
-def input_value(shader_input: UsdShade.Input, default: Any, reader: Reader, quiet: bool = False) -> Any:
-    """The input's value as the type of `default`, or None where nothing usable is authored."""
-    node, name = shader_input.GetPrim(), shader_input.GetFullName()
-    attributes = UsdShade.Utils.GetValueProducingAttributes(shader_input)
-    if not attributes and shader_input.GetAttr().HasAuthoredConnections() and not quiet:
-        reader.warn(node, f"{name}: its connection leads to no value; the default is used")
-    for attribute in attributes[:1]:
-        if UsdShade.Utils.GetType(attribute.GetName()) == UsdShade.AttributeType.Output:
-            return None if quiet else node_value(node, name, attribute, default, reader)
-        value = attribute.Get(reader.time)
-        return (
-            None
-            if value is None
-            else reader.coerced(attribute.GetPrim(), attribute.GetName(), value, default)
-        )
-    return None
-
-
-def node_value(user: Usd.Prim, name: str, output: Usd.Attribute, default: Any, reader: Reader) -> Any:
-    """What a pattern node gives: a constant its value, a texture its fallback, a displayColor reader None."""
-    node = UsdShade.Shader(output.GetPrim())
-    identifier = shader_id(output.GetPrim())
-    if identifier.startswith("ND_constant_"):
-        value = node.GetInput("value")
-        return input_value(value, default, reader) if value else None
-    if identifier == "UsdUVTexture":
-        reader.warn(
-            user,
-            f"{name}: textures are not supported yet: using the fallback of {output.GetPrim().GetPath()}",
-        )
-        return channel(node.GetInput("fallback"), str(output.GetName()), default, reader)
-    if identifier.startswith(("ND_image_", "ND_tiledimage_", "ND_UsdUVTexture")):
-        reader.warn(
-            user,
-            f"{name}: textures are not supported yet: using the fallback of {output.GetPrim().GetPath()}",
-        )
-        return optional_value(node.GetInput("default") or node.GetInput("fallback"), default, reader)
-    if identifier.startswith("UsdPrimvarReader"):
-        return primvar_value(user, name, node, default, reader)
-    reader.warn(user, f"{name}: node '{identifier}' is not supported yet; the default is used")
-    return None
-
-
-def optional_value(shader_input: UsdShade.Input, default: Any, reader: Reader) -> Any:
-    return input_value(shader_input, default, reader) if shader_input else None
-
-
-def channel(fallback: UsdShade.Input, output: str, default: Any, reader: Reader) -> Any:
-    """The part of a UsdUVTexture's fallback (rgba) that an output gives; None where no fallback is
+def set_input(fields: Fields, graph: Graph, shader_input: UsdShade.Input, default: Any) -> None:
+    """The input's constant among the fields, or what drives it among the graph's; neither where nothing usable is
     authored."""
-    rgba = optional_value(fallback, (0.0, 0.0, 0.0, 1.0), reader)
-    if rgba is None:
-        return None
-    if isinstance(default, tuple):
-        return rgba[:3]
-    index = "rgba".find(output.removeprefix("outputs:"))
-    return type(default)(rgba[max(index, 0)])
+    node, name, reader = shader_input.GetPrim(), shader_input.GetBaseName(), graph.reader
+    source = graph.source(shader_input)
+    if source is None:
+        return
+    if not graph.is_output(source):
+        value = source.Get(reader.time)
+        if value is not None:
+            value = reader.coerced(source.GetPrim(), source.GetName(), value, default)
+            fields[name] = list(value) if isinstance(value, tuple) else value
+        return
+    try:
+        value = graph.output(source)
+        if value.lanes is None:
+            if isinstance(default, (str, int)):
+                raise Unsupported("only a constant can drive it")
+            graph.inputs[name] = value
+            return
+    except Unsupported as error:
+        reader.warn(node, f"inputs:{name}: {error}; the default is used")
+        return
+    constant = reader.coerced(node, f"inputs:{name}", plain(value, default), default)
+    fields[name] = list(constant) if isinstance(constant, tuple) else constant
 
 
-def primvar_value(user: Usd.Prim, name: str, node: UsdShade.Shader, default: Any, reader: Reader) -> Any:
-    """displayColor as diffuseColor is what an unauthored diffuseColor means; others give their fallback."""
-    variable = optional_value(node.GetInput("varname"), "", reader)
-    if variable == "displayColor" and name == "inputs:diffuseColor":
-        return None
-    reader.warn(user, f"{name}: primvar '{variable}' cannot drive it yet: using the reader's fallback")
-    return optional_value(node.GetInput("fallback"), default, reader)
+def plain(value: Value, default: Any) -> Any:
+    """A constant as an input of the type of `default` takes it."""
+    assert value.lanes is not None
+    return value.lanes[: len(default)] if isinstance(default, tuple) else value.lanes[0]
+
+
+def set_normal(graph: Graph, shader_input: UsdShade.Input, shader: Shader) -> None:
+    """The normal in tangent space: what UsdPreviewSurface takes, and what leads into MaterialX's `normalmap`."""
+    reader, name = graph.reader, shader_input.GetFullName()
+    try:
+        if shader.tangent_space:
+            value = graph.value(shader_input, constant((0.0, 0.0, 1.0)))
+        else:
+            value = graph.normal_map(shader_input)
+    except Unsupported as error:
+        reader.warn(shader_input.GetPrim(), f"{name}: {error}; it is ignored")
+        return
+    if value is None or (value.lanes is not None and value.lanes[:3] == (0.0, 0.0, 1.0)):
+        return
+    graph.inputs["normal"] = value
+
+
+def reads_primvar(shader_input: UsdShade.Input, name: str, reader: Reader) -> bool:
+    """Whether a primvar of that name is all that drives the input."""
+    for attribute in UsdShade.Utils.GetValueProducingAttributes(shader_input)[:1] if shader_input else ():
+        node = UsdShade.Shader(attribute.GetPrim())
+        if node and shader_id(attribute.GetPrim()).startswith("UsdPrimvarReader"):
+            variable = node.GetInput("varname")
+            return bool(variable) and str(variable.Get(reader.time)) == name
+    return False

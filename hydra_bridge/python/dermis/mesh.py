@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 from pxr import Usd, UsdGeom
 
-from .curves import read_primvar, tessellate_curves
+from .curves import Tessellation, read_primvar, tessellate_curves
 from .implicit import IMPLICIT_TYPES, tessellate
-from .reading import Reader
+from .reading import Reader, numeric
 from .skel import Skins
 
-PRIMVARS = {"st": ("st", 2), "displayColor": ("displayColor", 3), "displayOpacity": ("displayOpacity", 1)}
-"""Primvar -> field of Mesh, components."""
+PRIMVARS = {"displayColor": ("displayColor", 3), "displayOpacity": ("displayOpacity", 1)}
+"""Primvar -> field of Mesh, components; others are read where a material asks for them."""
 
 REFINE_LEVEL = "dermis:refineLevel"
 """A constant primvar, which a group hands down to its meshes."""
@@ -178,6 +178,63 @@ def add_primvars(
             mesh[field] = value
 
 
+def flatten_read_primvars(
+    prim: Usd.Prim,
+    kind: str,
+    mesh: dict[str, Any],
+    names: dict[str, str],
+    reader: Reader,
+    inherited: Inherited,
+) -> dict[str, Any]:
+    """`flat::Mesh::primvars` of those among `names` that the prim has; `names`: to what reads it, if a missing one is
+    to be said."""
+    api, found = UsdGeom.PrimvarsAPI(prim), {}
+    made = tessellate_curves(prim, reader) if kind == "BasisCurves" else None
+    for name, user in names.items():
+        primvar = api.GetPrimvar(name)
+        if not (primvar and primvar.HasAuthoredValue()):
+            primvar = inherited.get(name)
+        if primvar is None:
+            if user:
+                reader.warn(prim, f"primvars:{name}: there is none; {user} reads it and gets its fallback")
+        elif kind not in ("Mesh", "BasisCurves") and primvar.GetInterpolation() != UsdGeom.Tokens.constant:
+            reader.warn(prim, f"primvars:{name}: a {kind} takes only constant primvars; it is ignored")
+        elif (value := read_by(made, prim, primvar, mesh, reader)) is not None:
+            components = 1 if value["values"].ndim == 1 else value["values"].shape[1]
+            found[name] = {"type": "float" if components == 1 else f"float{components}", **value}
+    return found
+
+
+def read_by(
+    curves: Tessellation | None,
+    prim: Usd.Prim,
+    primvar: UsdGeom.Primvar,
+    mesh: dict[str, Any],
+    reader: Reader,
+) -> dict[str, Any] | None:
+    """A primvar of a mesh, or of curves by what they were tessellated to."""
+    components = components_of(primvar, reader)
+    if curves is None:
+        return flatten_primvar(prim, primvar, components, mesh, reader)
+    attribute = read_primvar(prim, primvar, components, curves.spline, reader)
+    return curves.primvar(*attribute) if attribute else None
+
+
+def components_of(primvar: UsdGeom.Primvar, reader: Reader) -> int:
+    """1 where the value is no array of vectors, which reading it says."""
+    value = primvar.Get(reader.time)
+    array = numeric(value)
+    if array is None:
+        return 1
+    if array.ndim == 1 and not isinstance(value, (list, tuple)) and not is_array(primvar):
+        return min(len(array), 4)
+    return min(array.shape[1], 4) if array.ndim == 2 else 1
+
+
+def is_array(primvar: UsdGeom.Primvar) -> bool:
+    return bool(primvar.GetTypeName().isArray)
+
+
 def flatten_primvar(
     prim: Usd.Prim, primvar: UsdGeom.Primvar, components: int, mesh: dict[str, Any], reader: Reader
 ) -> dict[str, Any] | None:
@@ -186,7 +243,8 @@ def flatten_primvar(
     if primvar.GetElementSize() != 1:
         reader.warn(prim, f"{name}: elementSize {primvar.GetElementSize()} is not supported; it is ignored")
         return None
-    if components == 1 and np.ndim(value) == 0 and value is not None and not isinstance(value, str):
+    if value is not None and not is_array(primvar) and not isinstance(value, str):
+        # A constant may be one value instead of an array of one.
         value = [value]
     values = reader.as_array(prim, name, value, np.float32, components)
     indices = reader.as_array(prim, f"{name}:indices", indices_of(primvar, reader), np.int32, 1)

@@ -32,6 +32,8 @@ class Reader:
     def __init__(self, time: Usd.TimeCode, report: Report) -> None:
         self.time = time
         self.report = report
+        #: Primvars that materials read.
+        self.primvars: tuple[str, ...] = ()
 
     def warn(self, prim: str | Usd.Prim, message: str) -> None:
         self.report.warn(prim, message)

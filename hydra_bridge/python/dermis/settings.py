@@ -33,10 +33,12 @@ DERMIS_SETTINGS: dict[str, Any] = {
     "stratifyTechniques": True,
     "controlVariates": True,
     "exitLights": "auto",
+    "refractedLight": "auto",
     "guideExits": True,
     "cacheFill": "surface",
     "cacheResolution": 0,
     "subsurfaceBoundary": "auto",
+    "textureMemory": 4096,
     "lightsVisibleToCamera": False,
 }
 """Custom attributes `dermis:NAME` of the settings prim, with the type each has."""

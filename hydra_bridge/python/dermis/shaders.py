@@ -12,12 +12,15 @@ ANY = object()
 @dataclass(frozen=True)
 class Shader:
     """`inputs`: rendered. `ignored`: not rendered, said when it differs from its default. `idle`: companions
-    of an ignored input, without effect of their own."""
+    of an ignored input, without effect of their own. `normal`: the input that bends normals, in `tangent_space` or by
+    way of a MaterialX `normalmap`."""
 
     name: str
     inputs: Inputs
     ignored: Inputs
     idle: frozenset[str] = frozenset()
+    normal: str = "normal"
+    tangent_space: bool = False
 
 
 BLACK, WHITE = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
@@ -46,9 +49,10 @@ PREVIEW_SURFACE = Shader(
         "subsurfaceBoundary": "diffuse",
         "subsurfaceAlbedo": WHITE,
     },
-    {"normal": (0.0, 0.0, 1.0), "displacement": 0.0},
+    {"displacement": 0.0},
     # Occlusion is for rasterisers: a path tracer computes it.
     frozenset({"occlusion"}),
+    tangent_space=True,
 )
 
 OPEN_PBR = Shader(
@@ -88,7 +92,6 @@ OPEN_PBR = Shader(
         "fuzz_weight": 0.0,
         "thin_film_weight": 0.0,
         "geometry_thin_walled": False,
-        "geometry_normal": ANY,
         "geometry_coat_normal": ANY,
     },
     frozenset(
@@ -102,6 +105,7 @@ OPEN_PBR = Shader(
             "geometry_coat_tangent",
         }
     ),
+    normal="geometry_normal",
 )
 
 STANDARD_SURFACE = Shader(
@@ -143,7 +147,6 @@ STANDARD_SURFACE = Shader(
         "coat_affect_roughness": 0.0,
         "thin_film_thickness": 0.0,
         "thin_walled": False,
-        "normal": ANY,
         "coat_normal": ANY,
     },
     frozenset(

@@ -1,7 +1,9 @@
 """A composed stage at one time as flat prims: the dicts that `dermis._core` takes, with numpy arrays in
 them."""
 
+import importlib.util
 import json
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,6 +13,8 @@ from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade
 
 from .camera import auto_camera, camera_fields, find_camera
 from .emit import Emitter
+from .graph import primvars_read
+from .images import load_image
 from .material import flatten_material
 from .reading import Reader, Report, usd_words
 from .settings import binding_purpose, find_settings, flatten_settings, included_purposes
@@ -30,8 +34,9 @@ __all__ = [
 ]
 
 Prim = dict[str, Any]
-"""`type` (Mesh, Instancer, Material, Light, Camera, Texture) and the fields of `flat::Prim` in serde's
-names; arrays are C-contiguous numpy arrays: float32 (n,) or (n, k), int32 (n,), float64 (n, 4, 4)."""
+"""`type` (Mesh, Instancer, Material, Light, Camera, Texture, Image) and the fields of `flat::Prim` in serde's
+names; arrays are C-contiguous numpy arrays: float32 (n,) or (n, k), int32 (n,), float64 (n, 4, 4), uint8 (n,),
+uint16 (n,). An Image is a file and a colour space until `encode` decodes it."""
 
 
 class StageError(Exception):
@@ -73,6 +78,7 @@ def open_stage(path: str | Path, session_layer: str | Path | None = None, mask: 
 
     Raises StageError ("Could not open layer: ...") where a layer is missing or damaged.
     """
+    find_materialx()
     root = open_layer(path)
     session = open_layer(session_layer) if session_layer else Sdf.Layer.CreateAnonymous(".usda")
     try:
@@ -88,7 +94,7 @@ def open_layer(path: str | Path) -> Sdf.Layer:
     try:
         layer = Sdf.Layer.FindOrOpen(str(path))
     except Tf.ErrorException as error:
-        raise StageError(f"Could not open layer: {path} ({usd_words(error)})") from error
+        raise StageError(f"Could not open layer: {path} ({with_remedy(usd_words(error))})") from error
     if layer is None:
         raise StageError(f"Could not open layer: {path}")
     return layer
@@ -102,6 +108,7 @@ def flatten(
     options = options or Options()
     time = first_time(stage) if time is None else Usd.TimeCode(time)
     reader = Reader(time, Report())
+    reader.primvars = tuple(sorted(primvars_read(stage) | {"st"}))
     warn_composition(stage, reader.report)
     settings = find_settings(stage, options.render_settings, reader)
     purposes = included_purposes(settings, reader) if options.purposes is None else options.purposes
@@ -123,12 +130,15 @@ def flatten_prim(
     empty."""
     options = options or Options()
     reader = Reader(first_time(prim.GetStage()) if time is None else Usd.TimeCode(time), Report())
+    reader.primvars = tuple(sorted(primvars_read(prim.GetStage()) | {"st"}))
     settings = find_settings(prim.GetStage(), options.render_settings, reader)
     purposes = included_purposes(settings, reader) if options.purposes is None else options.purposes
     purpose = binding_purpose(settings, reader)
     flat = FlatStage(purposes=tuple(sorted({"default", *purposes})))
     if prim.IsA(UsdShade.Material):
-        flat.prims[str(prim.GetPath())] = flatten_material(prim, reader)
+        images: dict[str, Prim] = {}
+        material = flatten_material(prim, reader, images)
+        flat.prims = {str(prim.GetPath()): material, **images}
     else:
         placements = Walk(prim.GetStage(), reader, flat.purposes, purpose).run(prim)
         flat.prims = Emitter(reader, purpose, options.enable_dome_light_visibility).emit(placements)
@@ -179,15 +189,37 @@ def warn_composition(stage: Usd.Stage, report: Report) -> None:
     for error in stage.GetCompositionErrors():
         site = str(getattr(error, "rootSite", "")).rstrip(">")
         path = site.rsplit("<", 1)[-1] if "<" in site else "/"
-        report.warn(path, f"composition: {error}")
+        report.warn(path, f"composition: {with_remedy(str(error))}")
+
+
+def with_remedy(message: str) -> str:
+    """USD's words about a layer it has no reader for, and what to do where that is a MaterialX file."""
+    if ".mtlx" not in message or "file format" not in message:
+        return message
+    return (
+        f"{message.rstrip('.')}: usd-core has no reader for MaterialX files; pip uninstall usd-core, then pip install "
+        "usd-exchange MaterialX"
+    )
+
+
+def find_materialx() -> None:
+    """Tells USD's reader of MaterialX files, where there is one, where the standard library is: without it materials
+    come without shaders, and without a word."""
+    package = importlib.util.find_spec("MaterialX")
+    if package and package.submodule_search_locations:
+        libraries = Path(package.submodule_search_locations[0]) / "libraries"
+        os.environ.setdefault("PXR_MTLX_STDLIB_SEARCH_PATHS", str(libraries))
 
 
 def encode(prim: Prim) -> tuple[str, list[np.ndarray]]:
-    """JSON of a prim in which {"array": i} stands for the i-th of the arrays returned beside it.
+    """JSON of a prim in which {"array": i} stands for the i-th of the arrays returned beside it. Images of materials
+    are decoded here, so that their texels are in memory once, in the core.
 
     Raises ValueError where a number that is not finite would reach the JSON.
     """
     arrays: list[np.ndarray] = []
+    if prim["type"] == "Image" and "texels" not in prim:
+        prim = load_image(prim)
 
     def default(value: Any) -> Any:
         if isinstance(value, np.ndarray):

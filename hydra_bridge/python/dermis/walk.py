@@ -261,7 +261,7 @@ def constant_primvars(prim: Usd.Prim, context: Context, reader: Reader) -> tuple
     """Constant primvars are inherited; one of another interpolation ends that (UsdGeomPrimvarsAPI)."""
     primvars = {entry[0]: entry for entry in context.primvars}
     api = UsdGeom.PrimvarsAPI(prim)
-    for name in INHERITED_PRIMVARS:
+    for name in (*INHERITED_PRIMVARS, *reader.primvars):
         primvar = api.GetPrimvar(name)
         if not (primvar and primvar.HasAuthoredValue()):
             continue

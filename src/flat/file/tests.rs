@@ -91,7 +91,10 @@ fn arrays_are_mapped_and_aligned() {
     check(&map, &cube.hole_indices);
     check(&map, &cube.geom_subsets[0].indices);
     check(&map, &cube.display_color.as_ref().unwrap().values);
-    check(&map, cube.st.as_ref().unwrap().indices.as_ref().unwrap());
+    let crate::flat::AnyPrimvar::Float2(st) = &cube.primvars["st"] else { panic!("two components") };
+    check(&map, st.indices.as_ref().unwrap());
+    let crate::flat::Texels::U8(texels) = &scene.images["@pores.png@"].texels else { panic!("bytes") };
+    check(&map, texels);
     check(&map, &scene.instancers["/tree"].transforms);
     check(&map, &scene.textures["/sky.exr"].pixels);
 }
@@ -192,7 +195,7 @@ fn errors_name_the_file() {
     bytes[6] = 9;
     fs::write(&file, &bytes).unwrap();
     let newer = load(&file).unwrap_err().to_string();
-    assert!(newer.ends_with("version: version 9, this program reads 1; flatten the stage again"), "{newer}");
+    assert!(newer.ends_with("version: version 9, this program reads 2; flatten the stage again"), "{newer}");
     fs::write(&file, []).unwrap();
     assert!(load(&file).unwrap_err().to_string().contains("magic"));
     fs::remove_file(file).unwrap();

@@ -11,6 +11,7 @@
 mod light;
 mod material;
 mod mesh;
+mod network;
 mod primvar;
 mod report;
 mod settings;
@@ -21,6 +22,7 @@ mod topology;
 pub use light::{validate_camera, validate_light, validate_texture};
 pub use material::validate_material;
 pub use mesh::{validate_instancer, validate_mesh};
+pub use network::validate_image;
 
 use super::{FlatScene, LightShape, Mesh, Prim, Prims};
 use crate::error::Warning;
@@ -35,6 +37,7 @@ pub fn validate_prim(path: &str, prim: &mut Prim, warnings: &mut Vec<Warning>) {
         Prim::Light(light) => validate_light(path, light, warnings),
         Prim::Camera(camera) => validate_camera(path, camera, warnings),
         Prim::Texture(texture) => validate_texture(path, texture, warnings),
+        Prim::Image(image) => validate_image(path, image, warnings),
     }
 }
 
@@ -50,6 +53,7 @@ impl FlatScene {
         validate_all(&mut self.lights, validate_light, &mut warnings);
         validate_all(&mut self.cameras, validate_camera, &mut warnings);
         validate_all(&mut self.textures, validate_texture, &mut warnings);
+        validate_all(&mut self.images, validate_image, &mut warnings);
         self.validate_stage(&mut warnings);
         self.validate_names(&mut warnings);
         warnings

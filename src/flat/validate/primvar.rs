@@ -1,7 +1,7 @@
 //! Primvars of a mesh: as many values as their interpolation asks for, all of them finite.
 
 use super::report::{LARGEST, Report, UNIT, is_sane};
-use crate::flat::{Interpolation, Mesh, Primvar, array::Element};
+use crate::flat::{AnyPrimvar, Interpolation, Mesh, Primvar, array::Element};
 use bytemuck::Pod;
 
 /// How many elements the interpolations ask for, by the topology as authored.
@@ -48,9 +48,20 @@ impl Sizes {
 /// Drops the primvars that do not fit the mesh; colours and opacities are brought into 0..1.
 pub(super) fn check_primvars(mesh: &mut Mesh, sizes: &Sizes, report: &mut Report) {
     check(&mut mesh.normals, "normals", sizes, report);
-    check(&mut mesh.st, "primvars:st", sizes, report);
     check(&mut mesh.display_color, "primvars:displayColor", sizes, report);
     check(&mut mesh.display_opacity, "primvars:displayOpacity", sizes, report);
+    mesh.primvars.retain(|name, primvar| {
+        let fault = match primvar {
+            AnyPrimvar::Float(primvar) => fault(primvar, sizes),
+            AnyPrimvar::Float2(primvar) => fault(primvar, sizes),
+            AnyPrimvar::Float3(primvar) => fault(primvar, sizes),
+            AnyPrimvar::Float4(primvar) => fault(primvar, sizes),
+        };
+        if let Some(fault) = &fault {
+            report.warn(format!("primvars:{name} dropped: {fault}"));
+        }
+        fault.is_none()
+    });
     clamp_to_unit(&mut mesh.display_color, "primvars:displayColor", report);
     clamp_to_unit(&mut mesh.display_opacity, "primvars:displayOpacity", report);
 }

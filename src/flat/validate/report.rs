@@ -78,11 +78,14 @@ impl<'a> Report<'a> {
     }
 
     /// A token outside `allowed` becomes `default`.
-    pub(super) fn token(&mut self, attribute: &str, value: &mut String, allowed: &[&str], default: &str) {
-        if !allowed.contains(&value.as_str()) {
+    pub(super) fn token<T>(&mut self, attribute: &str, value: &mut T, allowed: &[&str], default: &str)
+    where
+        T: AsRef<str> + Debug + From<String>,
+    {
+        if !allowed.contains(&value.as_ref()) {
             let choices = allowed.join(", ");
             self.warn(format!("{attribute} is {value:?}, {default:?} is used; author one of {choices}"));
-            *value = default.to_owned();
+            *value = default.to_owned().into();
         }
     }
 }

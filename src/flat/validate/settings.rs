@@ -93,6 +93,7 @@ impl RenderSettings {
         check_token("walkPdf", &self.walk_pdf, &["auto", "conditional", "exact"])?;
         check_token("firstDistance", &self.first_distance, &["dwivedi", "classical"])?;
         check_token("exitLights", &self.exit_lights, &["auto", "one", "all", "learned"])?;
+        check_token("refractedLight", &self.refracted_light, &["auto", "on", "off"])?;
         check_token("cacheFill", &self.cache_fill, &["surface", "camera"])?;
         check_token("subsurfaceBoundary", &self.subsurface_boundary, &BOUNDARIES)?;
         let known = [&AOVS[..], &GUIDE_AOVS[..]].concat();

@@ -2,8 +2,8 @@
 
 use super::*;
 use crate::flat::{
-    Array, Camera, IDENTITY, Instancer, Interpolation, Light, Material, OpenPbrSurface, PreviewSurface, Primvar,
-    RenderSettings, Shaping, StandardSurface, Texture, array::Element, sample,
+    AnyPrimvar, Array, Camera, IDENTITY, Instancer, Interpolation, Light, Material, OpenPbrSurface, PreviewSurface,
+    Primvar, RenderSettings, Shaping, StandardSurface, Texture, array::Element, sample,
 };
 
 fn check_mesh(mesh: &mut Mesh) -> Vec<String> {
@@ -22,6 +22,19 @@ fn edit<T: Element>(array: &mut Array<T>, edit: impl FnOnce(&mut Vec<T>)) {
     *array = values.into();
 }
 
+fn st(mesh: &Mesh) -> Option<Primvar<[f32; 2]>> {
+    match mesh.primvars.get("st")? {
+        AnyPrimvar::Float2(st) => Some(st.clone()),
+        other => panic!("two components, not {other:?}"),
+    }
+}
+
+fn edit_st(mesh: &mut Mesh, edit: impl FnOnce(&mut Primvar<[f32; 2]>)) {
+    let mut st = st(mesh).unwrap();
+    edit(&mut st);
+    mesh.primvars.insert("st".into(), AnyPrimvar::Float2(st));
+}
+
 /// What the compiler relies on.
 fn assert_usable(mesh: &Mesh) {
     let points = mesh.points.len();
@@ -37,7 +50,7 @@ fn assert_usable(mesh: &Mesh) {
     assert_eq!(report::placement_fault(&mesh.transform), None);
     assert!(faces > 0 || !mesh.visible);
     assert_fits(&mesh.normals, [points, faces, corners]);
-    assert_fits(&mesh.st, [points, faces, corners]);
+    assert_fits(&st(mesh), [points, faces, corners]);
     assert_fits(&mesh.display_color, [points, faces, corners]);
     assert_fits(&mesh.display_opacity, [points, faces, corners]);
 }
@@ -78,7 +91,7 @@ fn a_dropped_face_takes_its_primvars_along() {
     assert_eq!(mesh.display_opacity.as_ref().unwrap().values[..], [0.0, 0.2, 0.3, 0.4, 0.5]);
     let colors = &mesh.display_color.as_ref().unwrap().values;
     assert_eq!(colors[4], [8.0 / 24.0; 3], "face 2 follows face 0");
-    assert_eq!(mesh.st.as_ref().unwrap().indices.as_ref().unwrap().len(), 20);
+    assert_eq!(st(&mesh).unwrap().indices.unwrap().len(), 20);
     assert_eq!(mesh.hole_indices[..], [4]);
     assert_eq!(mesh.geom_subsets[0].indices[..], [2, 3]);
 }
@@ -151,7 +164,7 @@ fn only_faces_without_any_area_go() {
 fn primvars_that_do_not_fit_are_dropped() {
     let mut mesh = sample::cube();
     mesh.normals.as_mut().unwrap().values = vec![[0.0, 0.0, 1.0]; 7].into();
-    mesh.st.as_mut().unwrap().indices = Some(vec![4; 24].into());
+    edit_st(&mut mesh, |st| st.indices = Some(vec![4; 24].into()));
     edit(&mut mesh.display_color.as_mut().unwrap().values, |colors| colors[3][2] = f32::NAN);
     edit(&mut mesh.display_opacity.as_mut().unwrap().values, |opacities| opacities[3] = 7.0);
     let warnings = check_mesh(&mut mesh);
@@ -159,12 +172,12 @@ fn primvars_that_do_not_fit_are_dropped() {
         warnings,
         [
             "normals dropped: 7 elements do not fit vertex interpolation, which has 8",
-            "primvars:st dropped: its indices are outside its 4 values; author indices from 0",
             "primvars:displayColor dropped: 1 numbers are not finite or beyond 1e30; author finite values",
+            "primvars:st dropped: its indices are outside its 4 values; author indices from 0",
             "primvars:displayOpacity: 1 numbers clamped; author 0 to 1"
         ]
     );
-    assert_eq!((&mesh.normals, &mesh.st, &mesh.display_color), (&None, &None, &None));
+    assert_eq!((&mesh.normals, &st(&mesh), &mesh.display_color), (&None, &None, &None));
     assert_eq!(mesh.display_opacity.unwrap().values[3], 1.0);
 }
 
@@ -397,7 +410,11 @@ impl SplitMix {
             6 => self.mutate(&mut mesh.geom_subsets[0].indices, Self::int),
             7 => self.mutate_primvar(&mut mesh.display_color, |random| [random.float(); 3]),
             8 => self.mutate_primvar(&mut mesh.display_opacity, Self::float),
-            9 => self.mutate_primvar(&mut mesh.st, |random| [random.float(); 2]),
+            9 => {
+                let mut st = st(mesh);
+                self.mutate_primvar(&mut st, |random| [random.float(); 2]);
+                mesh.primvars = st.map(|st| ("st".into(), AnyPrimvar::Float2(st))).into_iter().collect();
+            }
             _ if self.below(8) == 0 => mesh.transform[self.below(4)][self.below(4)] = f64::from(self.float()),
             _ => self.mutate_primvar(&mut mesh.normals, |random| [random.float(); 3]),
         }

@@ -1,7 +1,7 @@
 //! Faces: which cannot be used, and the mesh without them.
 
 use super::report::is_sane;
-use crate::flat::{Array, Interpolation, Mesh, Primvar, array::Element};
+use crate::flat::{AnyPrimvar, Array, Interpolation, Mesh, Primvar, array::Element};
 use glam::Vec3;
 
 /// Why a face is dropped: the first reason that holds.
@@ -112,7 +112,14 @@ pub(super) fn compact(mesh: &mut Mesh, faults: &Faults) {
     mesh.face_vertex_counts = masked(&mesh.face_vertex_counts, &faces);
     mesh.face_vertex_indices = masked(&mesh.face_vertex_indices, &corners);
     compact_primvar(&mut mesh.normals, &faces, &corners);
-    compact_primvar(&mut mesh.st, &faces, &corners);
+    for primvar in mesh.primvars.values_mut() {
+        match primvar {
+            AnyPrimvar::Float(primvar) => compact_values(primvar, &faces, &corners),
+            AnyPrimvar::Float2(primvar) => compact_values(primvar, &faces, &corners),
+            AnyPrimvar::Float3(primvar) => compact_values(primvar, &faces, &corners),
+            AnyPrimvar::Float4(primvar) => compact_values(primvar, &faces, &corners),
+        }
+    }
     compact_primvar(&mut mesh.display_color, &faces, &corners);
     compact_primvar(&mut mesh.display_opacity, &faces, &corners);
     let renumbered = renumbering(&faces);
@@ -137,7 +144,12 @@ fn masked<T: Element>(values: &Array<T>, mask: &[bool]) -> Array<T> {
 }
 
 fn compact_primvar<T: Element>(primvar: &mut Option<Primvar<T>>, faces: &[bool], corners: &[bool]) {
-    let Some(primvar) = primvar else { return };
+    if let Some(primvar) = primvar {
+        compact_values(primvar, faces, corners);
+    }
+}
+
+fn compact_values<T: Element>(primvar: &mut Primvar<T>, faces: &[bool], corners: &[bool]) {
     let mask = match primvar.interpolation {
         Interpolation::Uniform => faces,
         Interpolation::FaceVarying => corners,

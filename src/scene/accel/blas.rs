@@ -5,6 +5,7 @@ use super::aabb::Aabb;
 use super::build::binary_tree;
 use super::collapse::collapse;
 use super::lanes::Lanes;
+use super::pages;
 use super::traverse::{Tree, Visitor};
 use super::triangle::{Crossing, Leaf, Shear, WIDTH};
 use glam::Vec3;
@@ -36,8 +37,9 @@ impl Blas {
     pub fn build(points: &[Vec3], triangles: &[[u32; 3]]) -> Self {
         let corner = |i: u32| points.get(i as usize).copied().unwrap_or(Vec3::NAN);
         let boxes: Vec<Aabb> = triangles.iter().map(|t| Aabb::of_triangle(t.map(corner))).collect();
-        let mut leaves = Vec::new();
-        let tree = collapse(&binary_tree(&boxes, WIDTH), &boxes, |ids| {
+        let binary = binary_tree(&boxes, WIDTH);
+        let mut leaves = pages::with_capacity(binary.nodes.iter().filter(|node| node.is_leaf()).count());
+        let tree = collapse(&binary, &boxes, |ids| {
             let mut leaf = Leaf::EMPTY;
             ids.iter().enumerate().for_each(|(lane, &id)| leaf.set(lane, id, triangles[id as usize].map(corner)));
             leaves.push(leaf);
@@ -55,8 +57,8 @@ impl Blas {
     pub fn closest_skip(&self, ray: &Ray, skip: u32) -> Option<TriHit> {
         // Triangle 0 as "none yet" makes t_max exclusive: no index is below it at equal t.
         let best = TriHit { t: ray.t_max, triangle: 0, u: 0.0, v: 0.0 };
-        let mut visitor = Closest { leaves: &self.leaves, shear: Shear::new(ray), skip, best, found: false };
-        self.tree.walk(ray, &mut visitor);
+        let visitor = Closest { leaves: &self.leaves, skip, best, found: false };
+        let visitor = self.tree.walk(ray, visitor);
         visitor.found.then_some(visitor.best)
     }
 
@@ -67,9 +69,8 @@ impl Blas {
 
     /// As [`Blas::any`], without triangle `skip`.
     pub fn any_skip(&self, ray: &Ray, skip: u32) -> bool {
-        let mut visitor = Any { leaves: &self.leaves, shear: Shear::new(ray), skip, t_max: ray.t_max, found: false };
-        self.tree.walk(ray, &mut visitor);
-        visitor.found
+        let visitor = Any { leaves: &self.leaves, skip, t_max: ray.t_max, found: false };
+        self.tree.walk(ray, visitor).found
     }
 
     /// Object-space bounds, empty without triangles; at most a few roundings larger than the points'.
@@ -104,7 +105,6 @@ pub(super) fn crossings<L: Lanes>(leaf: &Leaf, shear: &Shear, mut hit: impl FnMu
 
 struct Closest<'a> {
     leaves: &'a [Leaf],
-    shear: Shear,
     skip: u32,
     best: TriHit,
     found: bool,
@@ -117,8 +117,8 @@ impl Visitor for Closest<'_> {
     }
 
     #[inline(always)]
-    fn leaf<L: Lanes>(&mut self, leaf: u32) -> bool {
-        crossings::<L>(&self.leaves[leaf as usize], &self.shear, |triangle, Crossing { t, u, v }| {
+    fn leaf<L: Lanes>(&mut self, leaf: u32, shear: &Shear) -> bool {
+        crossings::<L>(&self.leaves[leaf as usize], shear, |triangle, Crossing { t, u, v }| {
             let nearer = t < self.best.t || (t == self.best.t && triangle < self.best.triangle);
             if t > 0.0 && nearer && triangle != self.skip {
                 self.best = TriHit { t, triangle, u, v };
@@ -131,7 +131,6 @@ impl Visitor for Closest<'_> {
 
 struct Any<'a> {
     leaves: &'a [Leaf],
-    shear: Shear,
     skip: u32,
     t_max: f32,
     found: bool,
@@ -144,8 +143,8 @@ impl Visitor for Any<'_> {
     }
 
     #[inline(always)]
-    fn leaf<L: Lanes>(&mut self, leaf: u32) -> bool {
-        self.found = crossings::<L>(&self.leaves[leaf as usize], &self.shear, |triangle, Crossing { t, .. }| {
+    fn leaf<L: Lanes>(&mut self, leaf: u32, shear: &Shear) -> bool {
+        self.found = crossings::<L>(&self.leaves[leaf as usize], shear, |triangle, Crossing { t, .. }| {
             t > 0.0 && t < self.t_max && triangle != self.skip
         });
         self.found

@@ -3,6 +3,7 @@
 use super::aabb::Aabb;
 use super::lanes::Isa;
 use super::node::{LEAF, Node};
+use super::pages;
 use super::traverse::Tree;
 use obvhs::bvh2::Bvh2;
 
@@ -11,7 +12,8 @@ use obvhs::bvh2::Bvh2;
 /// trees are deep.
 pub(super) fn collapse(binary: &Bvh2, boxes: &[Aabb], mut leaf: impl FnMut(&[u32]) -> u32) -> Tree {
     let bounds = node_bounds(binary, boxes);
-    let mut nodes = vec![Node::EMPTY];
+    let mut nodes = pages::with_capacity(binary.nodes.len() / 8 + 1); // most often enough
+    nodes.push(Node::EMPTY);
     // Subtrees whose node is still to be made, with the node and slot to hang it on.
     let mut open = Vec::new();
     fill(binary, &bounds, 0, &mut nodes, &mut open, &mut leaf);
@@ -21,6 +23,7 @@ pub(super) fn collapse(binary: &Bvh2, boxes: &[Aabb], mut leaf: impl FnMut(&[u32
         nodes[parent].child[slot] = index as u32;
         fill(binary, &bounds, subtree, &mut nodes, &mut open, &mut leaf);
     }
+    nodes.shrink_to_fit();
     let stack = stack_need(&nodes);
     Tree { stack, bounds: bounds.first().copied().unwrap_or(Aabb::EMPTY), nodes, isa: Isa::detect() }
 }
@@ -35,7 +38,8 @@ fn fill(
     leaf: &mut impl FnMut(&[u32]) -> u32,
 ) {
     let index = nodes.len() - 1;
-    for (slot, child) in children(binary, bounds, subtree).into_iter().enumerate() {
+    let (found, count) = children(binary, bounds, subtree);
+    for (slot, &child) in found[..count].iter().enumerate() {
         let node = &binary.nodes[child];
         let reference = if node.is_leaf() {
             let first = node.first_index as usize;
@@ -48,21 +52,24 @@ fn fill(
     }
 }
 
-/// Up to eight disjoint subtrees that cover `subtree`.
-fn children(binary: &Bvh2, bounds: &[Aabb], subtree: usize) -> Vec<usize> {
-    let mut found = Vec::with_capacity(8);
-    if subtree < binary.nodes.len() {
-        found.push(subtree);
-    }
-    while found.len() < 8 {
-        let inner = (0..found.len()).filter(|&i| !binary.nodes[found[i]].is_leaf());
-        let area = |i: usize| bounds[found[i]].half_area();
-        let Some(largest) = inner.max_by(|&a, &b| area(a).total_cmp(&area(b))) else { break };
+/// Up to eight disjoint subtrees that cover `subtree`, and how many they are.
+fn children(binary: &Bvh2, bounds: &[Aabb], subtree: usize) -> ([usize; 8], usize) {
+    let (mut found, mut areas) = ([subtree; 8], [0.0; 8]);
+    // Of leaves, which stay closed, below any other.
+    let area = |i: usize| if binary.nodes[i].is_leaf() { -1.0 } else { bounds[i].half_area() };
+    let mut count = usize::from(subtree < binary.nodes.len());
+    areas[..count].fill_with(|| area(subtree));
+    while (1..8).contains(&count) {
+        let largest = (1..count).fold(0, |best, i| if areas[i] >= areas[best] { i } else { best });
+        if binary.nodes[found[largest]].is_leaf() {
+            break;
+        }
         let first = binary.nodes[found[largest]].first_index as usize;
-        found[largest] = first;
-        found.push(first + 1);
+        (found[largest], areas[largest]) = (first, area(first));
+        (found[count], areas[count]) = (first + 1, area(first + 1));
+        count += 1;
     }
-    found
+    (found, count)
 }
 
 /// Boxes of all binary nodes from those of the primitives.

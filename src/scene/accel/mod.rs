@@ -17,6 +17,7 @@ mod collapse;
 mod lanes;
 mod nearest;
 mod node;
+mod pages;
 mod tlas;
 mod traverse;
 mod triangle;

@@ -2,7 +2,7 @@
 
 use super::blas::Blas;
 use super::node::LEAF;
-use super::traverse::{Entry, Tree, insert};
+use super::traverse::Tree;
 use super::triangle::Leaf;
 use glam::{DMat3, DVec3, Mat3, Vec3};
 
@@ -98,12 +98,12 @@ fn closest_on_triangle([a, b, c]: [DVec3; 3]) -> [f64; 3] {
     measured.into_iter().reduce(|best, foot| if foot[2] < best[2] { foot } else { best }).unwrap_or([f64::NAN; 3])
 }
 
-/// Squared distances from `p` to eight boxes: minima of x, y, z, then maxima, one lane per box. Infinite for empty ones.
-fn distances_squared(planes: &[[f32; 8]; 6], p: Vec3) -> [f32; 8] {
+/// Squared distances from `p` to eight boxes, as [`Node::planes`] has them. Infinite for empty ones.
+fn distances_squared(planes: &[[[f32; 8]; 2]; 3], p: Vec3) -> [f32; 8] {
     let mut sum = [0.0; 8];
     for axis in 0..3 {
         for (i, sum) in sum.iter_mut().enumerate() {
-            let outside = larger(larger(planes[axis][i] - p[axis], p[axis] - planes[axis + 3][i]), 0.0);
+            let outside = larger(larger(planes[axis][0][i] - p[axis], p[axis] - planes[axis][1][i]), 0.0);
             *sum += outside * outside;
         }
     }
@@ -126,10 +126,22 @@ impl Leaf {
         let extreme = |pick: fn(f32, f32) -> f32, axis: usize| {
             std::array::from_fn(|i| pick(pick(a[axis][i], b[axis][i]), c[axis][i]))
         };
-        let low = [0, 1, 2].map(|axis| extreme(smaller, axis));
-        let [x, y, z] = [0, 1, 2].map(|axis| extreme(larger, axis));
-        distances_squared(&[low[0], low[1], low[2], x, y, z], p)
+        distances_squared(&[0, 1, 2].map(|axis| [extreme(smaller, axis), extreme(larger, axis)]), p)
     }
+}
+
+/// A child and the squared distance to its box.
+#[derive(Debug, Clone, Copy, Default)]
+struct Entry {
+    child: u32,
+    near: f32,
+}
+
+/// Inserts into the descending run `stack[first..top]`; the nearest ends on top.
+fn insert(stack: &mut [Entry], first: usize, top: usize, entry: Entry) {
+    let at = first + stack[first..top].partition_point(|e| e.near >= entry.near);
+    stack.copy_within(at..top, at + 1);
+    stack[at] = entry;
 }
 
 impl Tree {
@@ -139,7 +151,7 @@ impl Tree {
         if !p.is_finite() {
             return;
         }
-        let (mut fixed, mut heap); // as in `walk_lanes`
+        let (mut fixed, mut heap); // as in `Tree::walk_lanes`
         let stack: &mut [Entry] = if self.stack <= 128 {
             fixed = [Entry::default(); 128];
             &mut fixed

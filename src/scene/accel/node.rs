@@ -10,31 +10,21 @@ pub(super) const LEAF: u32 = 1 << 31;
 /// A slot without a child.
 const UNUSED: u32 = u32::MAX;
 
-/// Far distances grow by this factor. Near and far distances carry 3 roundings each (Ize 2013, "Robust BVH Ray
+/// Far distances grow by this factor. Near and far distances carry 3 roundings each, far ones two more of the factor itself (Ize 2013, "Robust BVH Ray
 /// Traversal", section 3), the triangle test may move its hit by up to 12 of the distance (see `aabb::PAD`);
 /// together below 32 unit roundoffs. Wider than Ize's 2 ulps because his exact intersections do not move.
 pub(super) const WIDEN: f32 = 1.0 + 16.0 * f32::EPSILON;
 
 #[derive(Debug, Clone, Copy)]
-#[repr(C, align(32))]
+#[repr(C, align(64))]
 pub(super) struct Node {
-    /// x, y, z of the minima, then of the maxima, one lane per child. Unused lanes hold the empty box.
-    pub(super) planes: [[f32; 8]; 6],
+    /// By axis, then minimum and maximum, one lane per child. Unused lanes hold the empty box.
+    pub(super) planes: [[[f32; 8]; 2]; 3],
     pub child: [u32; 8],
 }
 
 impl Node {
-    pub const EMPTY: Self = Self {
-        planes: [
-            [f32::INFINITY; 8],
-            [f32::INFINITY; 8],
-            [f32::INFINITY; 8],
-            [f32::NEG_INFINITY; 8],
-            [f32::NEG_INFINITY; 8],
-            [f32::NEG_INFINITY; 8],
-        ],
-        child: [UNUSED; 8],
-    };
+    pub const EMPTY: Self = Self { planes: [[[f32::INFINITY; 8], [f32::NEG_INFINITY; 8]]; 3], child: [UNUSED; 8] };
 
     /// Slots in use: the children fill them from the first on.
     pub fn count(&self) -> usize {
@@ -43,8 +33,8 @@ impl Node {
 
     pub fn set(&mut self, slot: usize, bounds: &Aabb, child: u32) {
         for axis in 0..3 {
-            self.planes[axis][slot] = bounds.min[axis];
-            self.planes[axis + 3][slot] = bounds.max[axis];
+            self.planes[axis][0][slot] = bounds.min[axis];
+            self.planes[axis][1][slot] = bounds.max[axis];
         }
         self.child[slot] = child;
     }
@@ -54,7 +44,9 @@ impl Node {
 pub(super) struct BoxRay<L> {
     o: [L; 3],
     inv_d: [L; 3],
-    /// Indices into [`Node::planes`] of the planes the ray meets first.
+    /// `inv_d` times [`WIDEN`].
+    inv_d_far: [L; 3],
+    /// Whether the ray meets the minimum (0) or the maximum (1) of an axis first.
     near: [usize; 3],
 }
 
@@ -62,10 +54,12 @@ impl<L: Lanes> BoxRay<L> {
     #[inline(always)]
     pub fn new(ray: &Ray) -> Self {
         // The sign bit, not d < 0: -0.0 gives an inverse of -inf and needs the order that goes with it.
-        let near = |axis: usize| axis + 3 * usize::from(ray.d[axis].is_sign_negative());
+        let near = |axis: usize| usize::from(ray.d[axis].is_sign_negative());
+        let inv_d = [1.0 / ray.d.x, 1.0 / ray.d.y, 1.0 / ray.d.z];
         Self {
             o: [L::splat(ray.o.x), L::splat(ray.o.y), L::splat(ray.o.z)],
-            inv_d: [L::splat(1.0 / ray.d.x), L::splat(1.0 / ray.d.y), L::splat(1.0 / ray.d.z)],
+            inv_d: [L::splat(inv_d[0]), L::splat(inv_d[1]), L::splat(inv_d[2])],
+            inv_d_far: [L::splat(inv_d[0] * WIDEN), L::splat(inv_d[1] * WIDEN), L::splat(inv_d[2] * WIDEN)],
             near: [near(0), near(1), near(2)],
         }
     }
@@ -76,17 +70,18 @@ impl<L: Lanes> BoxRay<L> {
     /// it drops out, which leaves the box to the other axes: never culled by it.
     #[inline(always)]
     pub fn test(&self, node: &Node, t_max: f32) -> (u32, [f32; 8]) {
-        let (mut near, mut far) = (L::splat(0.0), L::splat(t_max));
+        let (mut near, mut far) = (L::splat(0.0), L::splat(t_max * WIDEN));
         for axis in 0..3 {
-            near = self.slab(node, axis, self.near[axis]).max(near);
-            far = self.slab(node, axis, 2 * axis + 3 - self.near[axis]).min(far);
+            let side = self.near[axis] & 1;
+            near = self.slab(node, axis, side).mul(self.inv_d[axis]).max(near);
+            far = self.slab(node, axis, side ^ 1).mul(self.inv_d_far[axis]).min(far);
         }
-        (near.le(far.mul(L::splat(WIDEN))), near.store())
+        (near.le(far), near.store())
     }
 
-    /// Distances to one plane of each child.
+    /// From the origin to one plane of each child.
     #[inline(always)]
-    fn slab(&self, node: &Node, axis: usize, plane: usize) -> L {
-        L::load(&node.planes[plane]).sub(self.o[axis]).mul(self.inv_d[axis])
+    fn slab(&self, node: &Node, axis: usize, side: usize) -> L {
+        L::load(&node.planes[axis][side]).sub(self.o[axis])
     }
 }

@@ -6,25 +6,33 @@ use super::build::binary_tree;
 use super::collapse::collapse;
 use super::lanes::Lanes;
 use super::traverse::{Tree, Visitor};
+use super::triangle::Shear;
 
 /// Top-level acceleration structure.
 #[derive(Debug, Clone)]
 pub struct Tlas {
     pub(super) tree: Tree,
+    /// The one object there is: its own tree finds out whether it is met.
+    only: Option<u32>,
 }
 
 impl Tlas {
     /// Boxes may overlap, coincide, be infinite or empty (the last are never visited). At most 2^31.
     pub fn build(boxes: &[Aabb]) -> Self {
-        Self { tree: collapse(&binary_tree(boxes, 1), boxes, |ids| ids[0]) }
+        let only = (boxes.len() == 1 && !boxes[0].is_empty()).then_some(0);
+        Self { tree: collapse(&binary_tree(boxes, 1), boxes, |ids| ids[0]), only }
     }
 
-    /// Visits the boxes that the ray meets in (0, t_max), about nearest first; `visit` gets the index of a box,
+    /// Visits the boxes that the ray meets in (0, t_max), about nearest first (a single one in any case); `visit` gets the index of a box,
     /// shrinks `ray.t_max` when it finds a hit inside and returns true to stop. It must leave `o` and `d` alone.
     /// The order depends on the boxes and the ray only.
-    pub fn traverse(&self, ray: &mut Ray, visit: impl FnMut(u32, &mut Ray) -> bool) {
+    pub fn traverse(&self, ray: &mut Ray, mut visit: impl FnMut(u32, &mut Ray) -> bool) {
+        if let Some(only) = self.only {
+            visit(only, ray);
+            return;
+        }
         let start = *ray;
-        self.tree.walk(&start, &mut Objects { ray, visit });
+        self.tree.walk(&start, Objects { ray, visit });
     }
 
     /// Empty without boxes.
@@ -50,7 +58,7 @@ impl<F: FnMut(u32, &mut Ray) -> bool> Visitor for Objects<'_, F> {
     }
 
     #[inline(always)]
-    fn leaf<L: Lanes>(&mut self, object: u32) -> bool {
+    fn leaf<L: Lanes>(&mut self, object: u32, _: &Shear) -> bool {
         (self.visit)(object, self.ray)
     }
 }

@@ -14,7 +14,7 @@ pub(super) const WIDTH: usize = 8;
 
 /// Up to eight triangles. Unused lanes hold NaN, which no comparison accepts.
 #[derive(Debug, Clone, Copy)]
-#[repr(C, align(32))]
+#[repr(C, align(64))]
 pub(super) struct Leaf {
     /// Indexed by vertex, axis, lane.
     pub(super) p: [[[f32; 8]; 3]; 3],

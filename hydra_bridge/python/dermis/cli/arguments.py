@@ -147,6 +147,13 @@ def add_sampling_arguments(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument("--maxDepth", type=count, metavar="N", help="surface bounces")
     group.add_argument(
+        "--textureMemory",
+        type=count,
+        metavar="MB",
+        help="memory for the images of materials; the largest are kept coarser where they do not fit (default=4096, "
+        "0: no bound)",
+    )
+    group.add_argument(
         "--walk", type=walk_name, metavar="NAME", help=f"subsurface walk: {', '.join(WALKS)} (default=auto)"
     )
     group.add_argument(

@@ -16,6 +16,7 @@ FLAG_SETTINGS = {
     "threads": "threads",
     "crop": "dataWindowNDC",
     "maxDepth": "maxDepth",
+    "textureMemory": "textureMemory",
     "walk": "walk",
     "walkPdf": "walkPdf",
     "classicalFraction": "classicalFraction",

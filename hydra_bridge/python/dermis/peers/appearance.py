@@ -147,6 +147,8 @@ def surface_of(flat: FlatStage, mesh: Fields) -> tuple[Fields, str]:
     path = mesh["material"]
     authored = flat.prims[path] if path else {"shader": "UsdPreviewSurface"}
     require(authored["shader"] == "UsdPreviewSurface", path, "shader", authored["shader"])
+    driven = ", ".join(authored.get("network", {}).get("inputs", ()))
+    require(not driven, path, "a network that drives", driven)
     material = {**DEFAULTS, **{name: value for name, value in authored.items() if value is not None}}
     for name in ("metallic", "clearcoat"):
         require(material[name] == 0.0, path, name, material[name])

@@ -9,11 +9,11 @@ import numpy as np
 
 from ..stage import FlatStage
 
-VERSION = 1
+VERSION = 2
 HEADER = struct.Struct("<6sHQQQ")
 TEXT_AT = 64
 ENTRY = struct.Struct("<IIQQQ")
-SCALARS = (np.dtype("<f4"), np.dtype("<f8"), np.dtype("<i4"))
+SCALARS = (np.dtype("<f4"), np.dtype("<f8"), np.dtype("<i4"), np.dtype("u1"), np.dtype("<u2"))
 
 #: Maps of the file and the prim type of their entries.
 MAPS = {
@@ -23,6 +23,7 @@ MAPS = {
     "lights": "Light",
     "cameras": "Camera",
     "textures": "Texture",
+    "images": "Image",
 }
 
 

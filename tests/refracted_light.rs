@@ -1,0 +1,174 @@
+//! Light sampled through smooth dielectrics: the same image as by chance alone, and exact geometry.
+
+mod support;
+
+use dermis::delegate::{DirtyBits, RenderDelegate};
+use dermis::flat::{Light, LightShape, Material, Mesh, PreviewSurface, Prim, RenderSettings, Texture};
+use glam::{DMat3, DVec3, Vec3};
+use support::slab::judge;
+use support::{camera, channel, cuboid, mean_and_error, plane, render, scene, settings, sphere};
+
+const SIZE: u32 = 16;
+
+struct Case {
+    name: &'static str,
+    body: Mesh,
+    medium: PreviewSurface,
+    lights: Vec<Light>,
+    walk: &'static str,
+    samples: u32,
+}
+
+fn medium(albedo: [f32; 3], radius: [f32; 3], g: f32, ior: f32) -> PreviewSurface {
+    PreviewSurface {
+        subsurface: 1.0,
+        subsurface_albedo: Some(albedo),
+        subsurface_radius: radius,
+        subsurface_anisotropy: g,
+        subsurface_boundary: "dielectric".into(),
+        ior,
+        roughness: 0.0,
+        ..PreviewSurface::default()
+    }
+}
+
+/// With interpolated normals.
+fn smooth(mesh: Mesh) -> Mesh {
+    Mesh { subdivision_scheme: "loop".into(), ..mesh }
+}
+
+/// A ball with waves of a fifth of its radius, interpolated normals.
+fn bumpy() -> Mesh {
+    let mut ball = smooth(sphere(24, 0.7));
+    let waves = |p: &[f32; 3]| {
+        let p = Vec3::from(*p);
+        let height = (7.0 * p.x).sin() * (6.0 * p.y + 1.0).sin() * (5.0 * p.z + 2.0).sin();
+        (p * (1.0 + 0.2 * height)).to_array()
+    };
+    ball.points = ball.points.iter().map(waves).collect::<Vec<_>>().into();
+    ball
+}
+
+/// A cube that stands on no axis.
+fn cube() -> Mesh {
+    let mut cube = cuboid(Vec3::splat(0.5));
+    let turn = DMat3::from_rotation_x(0.4) * DMat3::from_rotation_y(0.6);
+    for (row, axis) in cube.transform.iter_mut().zip(turn.to_cols_array_2d()) {
+        row[..3].copy_from_slice(&axis);
+    }
+    cube
+}
+
+/// A light behind the body, above and to the right, whose -Z looks at the origin.
+fn behind(shape: LightShape, intensity: f32) -> Light {
+    let mut light = Light { shape, intensity, ..Light::default() };
+    let at = DVec3::new(0.8, 1.0, -1.6);
+    let z = at.normalize();
+    let x = DVec3::Y.cross(z).normalize();
+    for (row, axis) in light.transform.iter_mut().zip([x, z.cross(x), z, at]) {
+        row[..3].copy_from_slice(&axis.to_array());
+    }
+    light
+}
+
+fn rect(intensity: f32) -> Light {
+    behind(LightShape::Rect { width: 1.0, height: 0.8, texture: String::new() }, intensity)
+}
+
+fn sky(texture: &str, intensity: f32) -> Light {
+    Light { shape: LightShape::Dome { texture: texture.into(), pole_axis: "Y".into() }, intensity, ..Light::default() }
+}
+
+fn cases() -> Vec<Case> {
+    let of = |name, body, medium, lights| Case { name, body, medium, lights, walk: "classical", samples: 128 };
+    let gray = |radius, g, ior| medium([0.9; 3], [radius; 3], g, ior);
+    vec![
+        of("sphere, rect", smooth(sphere(16, 0.7)), gray(0.5, 0.0, 1.4), vec![rect(20.0)]),
+        of("sphere, rect, thin, forward", smooth(sphere(16, 0.7)), gray(2.0, 0.8, 1.2), vec![rect(20.0)]),
+        of(
+            "sphere, ball, rgb",
+            smooth(sphere(16, 0.7)),
+            medium([0.99, 0.8, 0.5], [0.7, 0.4, 0.2], 0.0, 1.5),
+            vec![behind(LightShape::Sphere { radius: 0.4 }, 20.0)],
+        ),
+        of(
+            "bumpy, rect and distant",
+            bumpy(),
+            medium([0.99, 0.95, 0.8], [0.5, 0.4, 0.3], 0.0, 1.4),
+            vec![rect(10.0), behind(LightShape::Distant { angle: 25.0 }, 10.0)],
+        ),
+        of("bumpy, dense glass", bumpy(), gray(0.4, 0.8, 2.0), vec![rect(30.0)]),
+        of(
+            "bumpy, cylinder, disk, sky",
+            bumpy(),
+            gray(0.6, 0.0, 1.3),
+            vec![
+                behind(LightShape::Cylinder { length: 1.0, radius: 0.2 }, 20.0),
+                behind(LightShape::Disk { radius: 0.3 }, 10.0),
+                sky("", 0.3),
+            ],
+        ),
+        of("cube, rect", cube(), gray(0.4, 0.0, 1.4), vec![rect(20.0)]),
+        of("cube, sun in a sky", cube(), medium([0.99, 0.9, 0.7], [0.6, 0.5, 0.4], 0.0, 1.6), vec![sky("/Sky", 1.0)]),
+        of("cube of air in water", cube(), gray(0.4, 0.0, 1.0 / 1.33), vec![rect(20.0)]),
+        Case { walk: "mixture", ..of("bumpy, mixture", bumpy(), gray(0.3, 0.0, 1.4), vec![rect(20.0)]) },
+        Case { walk: "poe", ..of("sphere, poe", smooth(sphere(16, 0.7)), gray(0.3, 0.0, 1.4), vec![rect(20.0)]) },
+    ]
+}
+
+/// A sky with a sun of some degrees.
+fn sun() -> Texture {
+    let (width, height) = (32, 16);
+    let bright = |i: usize| if i % width == 8 && (4..6).contains(&(i / width)) { 150.0 } else { 0.2 };
+    let pixels: Vec<[f32; 3]> = (0..width * height).map(|i| [bright(i); 3]).collect();
+    Texture { file: "sun".into(), width: width as u32, height: height as u32, pixels: pixels.into() }
+}
+
+impl Case {
+    fn delegate(&self) -> RenderDelegate {
+        let material = Material::UsdPreviewSurface(self.medium.clone());
+        let eye = camera(DVec3::new(1.0, 1.5, 6.0), 13.0);
+        let mut delegate = scene(self.body.clone(), material, self.lights.clone(), eye);
+        delegate.sync("/Sky", Prim::Texture(sun()), DirtyBits::ALL);
+        delegate
+    }
+
+    fn color(&self, refracted_light: &str, samples: u32, seed: u32) -> Vec<f32> {
+        let settings = RenderSettings {
+            walk: self.walk.into(),
+            refracted_light: refracted_light.into(),
+            seed,
+            ..settings(SIZE, samples)
+        };
+        let mut delegate = self.delegate();
+        let planes = render(&mut delegate, settings);
+        assert_eq!(delegate.stats()["non_finite_samples"], 0);
+        plane(&planes, "color").to_vec()
+    }
+}
+
+/// Quarters and the whole, channel by channel: means of the pixels' differences over their spread.
+#[test]
+fn light_is_neither_lost_nor_counted_twice() {
+    let mut tests = Vec::new();
+    for case in cases() {
+        let with = case.color("on", case.samples, 1);
+        let without = case.color("off", 8 * case.samples, 2);
+        for c in 0..3 {
+            let (with, without) = (channel(&with, c), channel(&without, c));
+            let differences: Vec<f64> = with.iter().zip(&without).map(|(a, b)| a - b).collect();
+            let (all, _) = mean_and_error(&without);
+            let mut test = |label: &str, values: &[f64]| {
+                let (mean, error) = mean_and_error(values);
+                eprintln!("{}, {label} channel {c}: {:+.4} +- {:.4}", case.name, mean / all, error / all);
+                tests.push((format!("{}, {label} channel {c}", case.name), mean / error.max(f64::MIN_POSITIVE)));
+            };
+            test("all", &differences);
+            for quarter in 0..4 {
+                let values = differences.chunks(differences.len() / 4).nth(quarter).expect("four");
+                test(&format!("band {quarter}"), values);
+            }
+        }
+    }
+    judge("refracted light", tests);
+}
