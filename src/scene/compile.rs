@@ -251,7 +251,7 @@ impl Builder<'_> {
     fn constant_surface(&mut self, prim: &str, material: &str, display_color: Option<Rgb>, opacity: f32) -> Surface {
         let key = (material.to_owned(), display_color.map(|c| c.to_array().map(f32::to_bits)), opacity.to_bits());
         if let Some(known) = self.known.get(&key) {
-            return known.clone();
+            return *known;
         }
         let warned = self.warnings.len();
         let boundary_override = boundary_named(&self.flat.settings.subsurface_boundary);
@@ -260,7 +260,7 @@ impl Builder<'_> {
         let surface = Surface::compile(material, display_color, opacity, boundary_override, prim, self.warnings);
         if self.warnings.len() == warned {
             // Else the next mesh of the kind is to be named, too.
-            self.known.insert(key, surface.clone());
+            self.known.insert(key, surface);
         }
         surface
     }
