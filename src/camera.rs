@@ -12,30 +12,30 @@ pub struct CameraRay {
     pub t_max: f32,
 }
 
-/// Pixels that are rendered of the whole image: origin top left, half open.
+/// Pixels that are rendered: origin at the image's top left, half open; beyond the image lies overscan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct DataWindow {
-    pub x0: u32,
-    pub y0: u32,
-    pub x1: u32,
-    pub y1: u32,
+    pub x0: i32,
+    pub y0: i32,
+    pub x1: i32,
+    pub y1: i32,
 }
 
 impl DataWindow {
     pub fn width(&self) -> u32 {
-        self.x1 - self.x0
+        self.x1.abs_diff(self.x0)
     }
 
     pub fn height(&self) -> u32 {
-        self.y1 - self.y0
+        self.y1.abs_diff(self.y0)
     }
 
     /// Pixels whose centres lie in the NDC window (y up), as CameraUtilFraming does; at least one pixel.
     pub fn from_ndc(resolution: [u32; 2], ndc: [f32; 4]) -> Self {
-        let pixel = |x: f32, n: u32| ((x * n as f32 - 0.5).ceil().max(0.0) as u32).min(n);
+        let pixel = |x: f32, n: u32| (x * n as f32 - 0.5).ceil() as i32;
         let [w, h] = resolution;
-        let (x0, x1) = (pixel(ndc[0], w).min(w - 1), pixel(ndc[2], w));
-        let (y0, y1) = (pixel(1.0 - ndc[3], h).min(h - 1), pixel(1.0 - ndc[1], h));
+        let (x0, x1) = (pixel(ndc[0], w), pixel(ndc[2], w));
+        let (y0, y1) = (pixel(1.0 - ndc[3], h), pixel(1.0 - ndc[1], h));
         Self { x0, y0, x1: x1.max(x0 + 1), y1: y1.max(y0 + 1) }
     }
 }
@@ -60,6 +60,8 @@ pub struct Camera {
     pub exposure: f32,
     pub data_window: DataWindow,
     pub size: [u32; 2],
+    /// Width of a pixel over its height; as set, or what `adjustPixelAspectRatio` makes of it.
+    pub pixel_aspect_ratio: f32,
 }
 
 impl Camera {
@@ -73,11 +75,13 @@ impl Camera {
         );
         let size = settings.resolution.map(|n| n.max(1));
         let resolution = Vec2::new(size[0] as f32, size[1] as f32);
-        let aperture = conform(
-            Vec2::new(camera.horizontal_aperture, camera.vertical_aperture),
-            resolution.x * settings.pixel_aspect_ratio / resolution.y,
-            &settings.aspect_ratio_conform_policy,
-        );
+        let authored = Vec2::new(camera.horizontal_aperture, camera.vertical_aperture);
+        let image_aspect = resolution.x * settings.pixel_aspect_ratio / resolution.y;
+        let aperture = conform(authored, image_aspect, &settings.aspect_ratio_conform_policy);
+        let pixel_aspect_ratio = match settings.aspect_ratio_conform_policy.as_str() {
+            "adjustPixelAspectRatio" => aperture.x / aperture.y * resolution.y / resolution.x,
+            _ => settings.pixel_aspect_ratio,
+        };
         let orthographic = camera.projection == Projection::Orthographic;
         // Apertures and focal length are in tenths of a stage unit: the unit cancels in perspective.
         let scale = if orthographic { 0.1 } else { 1.0 / camera.focal_length };
@@ -97,6 +101,20 @@ impl Camera {
             exposure: camera.exposure_scale,
             data_window: DataWindow::from_ndc(size, settings.data_window_ndc),
             size,
+            pixel_aspect_ratio,
+        }
+    }
+
+    /// Number of a pixel in the whole image, whatever window is rendered: the key of its random numbers. Overscan has
+    /// numbers of its own, hashed since no row holds it.
+    pub fn pixel_number(&self, x: i32, y: i32) -> u32 {
+        let [width, height] = self.size;
+        match (u32::try_from(x), u32::try_from(y)) {
+            (Ok(x), Ok(y)) if x < width && y < height => y * width + x,
+            _ => {
+                let mixed = (x as u32).wrapping_mul(0x9e37_79b9) ^ (y as u32).wrapping_mul(0x85eb_ca6b).rotate_left(16);
+                mixed.wrapping_mul(0xc2b2_ae35) | 1 << 31
+            }
         }
     }
 
@@ -133,9 +151,45 @@ impl Camera {
         if self.orthographic { (pixel, 0.0) } else { (self.near * pixel, pixel) }
     }
 
+    /// What turns first hits into depths and eye-space vectors.
+    pub fn view(&self) -> View {
+        View { origin: self.origin, axes: self.axes, clipping: [self.near, self.far], orthographic: self.orthographic }
+    }
+
     /// Distance of a render-space point along the view axis.
     pub fn depth(&self, p: Vec3) -> f32 {
         -self.axes.z_axis.dot(p)
+    }
+}
+
+/// A camera's place, without its lens.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct View {
+    /// World position.
+    pub origin: DVec3,
+    /// Columns right, up, back, in world directions.
+    pub axes: Mat3,
+    /// Near and far distance along the view axis, stage units.
+    pub clipping: [f32; 2],
+    pub orthographic: bool,
+}
+
+impl View {
+    /// A world position in eye space: x right, y up, looking along -z.
+    pub fn eye_point(&self, p: Vec3) -> Vec3 {
+        self.eye_vector((p.as_dvec3() - self.origin).as_vec3())
+    }
+
+    pub fn eye_vector(&self, v: Vec3) -> Vec3 {
+        self.axes.transpose() * v
+    }
+
+    /// What a rasteriser's depth buffer holds (Hydra's `depth`): 0 at the near plane, 1 at the far one.
+    pub fn device_depth(&self, depth: f32) -> f32 {
+        let [near, far] = self.clipping.map(f64::from);
+        let z = f64::from(depth).clamp(near, far);
+        let t = (z - near) / (far - near);
+        (if self.orthographic { t } else { t * far / z }) as f32
     }
 }
 
@@ -183,6 +237,10 @@ mod tests {
         assert_eq!(conform(a, 1.0, "expandAperture"), Vec2::new(20.0, 20.0));
         assert_eq!(conform(a, 4.0, "cropAperture"), Vec2::new(20.0, 5.0));
         assert_eq!(conform(a, 1.0, "cropAperture"), Vec2::new(10.0, 10.0));
+        assert_eq!(conform(a, 4.0, "adjustApertureWidth"), Vec2::new(40.0, 10.0));
+        assert_eq!(conform(a, 1.0, "adjustApertureWidth"), Vec2::new(10.0, 10.0));
+        assert_eq!(conform(a, 4.0, "adjustApertureHeight"), Vec2::new(20.0, 5.0));
+        assert_eq!(conform(a, 1.0, "adjustApertureHeight"), Vec2::new(20.0, 20.0));
         assert_eq!(conform(a, 4.0, "adjustPixelAspectRatio"), a);
     }
 
@@ -192,6 +250,38 @@ mod tests {
         assert_eq!(all, DataWindow { x0: 0, y0: 0, x1: 10, y1: 20 });
         let top_left = DataWindow::from_ndc([10, 20], [0.0, 0.75, 0.5, 1.0]);
         assert_eq!(top_left, DataWindow { x0: 0, y0: 0, x1: 5, y1: 5 });
+        let overscan = DataWindow::from_ndc([10, 20], [-0.1, -0.1, 1.1, 1.2]);
+        assert_eq!(overscan, DataWindow { x0: -1, y0: -4, x1: 11, y1: 22 });
+        assert_eq!((overscan.width(), overscan.height()), (12, 26));
+    }
+
+    #[test]
+    fn a_pixel_keeps_its_number() {
+        let camera = Camera::compile(&flat::Camera::default(), &square(10));
+        assert_eq!(camera.pixel_number(3, 2), 23);
+        let mut outside: Vec<u32> =
+            (-30..30).flat_map(|y| (-30..0).map(move |x| (x, y))).map(|(x, y)| camera.pixel_number(x, y)).collect();
+        outside.sort_unstable();
+        outside.dedup();
+        assert!(outside.len() == 1800 && outside[0] >= 1 << 31);
+    }
+
+    /// UsdRender's words: the pixel is as wide as it takes to fit the aperture into the resolution.
+    #[test]
+    fn pixels_adjust_to_the_aperture() {
+        let camera = flat::Camera { horizontal_aperture: 20.0, vertical_aperture: 10.0, ..Default::default() };
+        let settings = RenderSettings { aspect_ratio_conform_policy: "adjustPixelAspectRatio".into(), ..square(100) };
+        assert_eq!(Camera::compile(&camera, &settings).pixel_aspect_ratio, 2.0);
+        assert_eq!(Camera::compile(&camera, &square(100)).pixel_aspect_ratio, 1.0);
+    }
+
+    #[test]
+    fn depth_of_the_device() {
+        let view = View { clipping: [1.0, 100.0], ..Camera::compile(&flat::Camera::default(), &square(8)).view() };
+        assert_eq!([1.0, 100.0, 1e30].map(|z| view.device_depth(z)), [0.0, 1.0, 1.0]);
+        // f (z - n) / (z (f - n))
+        assert!((view.device_depth(2.0) - 100.0 / 198.0).abs() < 1e-6);
+        assert_eq!(View { orthographic: true, ..view }.device_depth(50.5), 0.5);
     }
 
     #[test]

@@ -45,6 +45,7 @@ pub mod output;
 pub mod render;
 mod replace;
 pub mod sampling;
+mod saved;
 pub mod scene;
 pub mod subdivision;
 pub mod subsurface;

@@ -14,7 +14,7 @@ use exr::{
         attribute::{AttributeValue, Chromaticities, IntegerBounds, LineOrder, Text},
         header::{ImageAttributes, LayerAttributes},
     },
-    prelude::{AnyChannel, AnyChannels, Compression, Encoding, FlatSamples, Image, Vec2, WritableImage},
+    prelude::{AnyChannel, AnyChannels, Compression, Encoding, FlatSamples, Image, Vec2, WritableImage, f16},
 };
 use std::{collections::BTreeSet, io, path::Path};
 
@@ -22,6 +22,7 @@ use std::{collections::BTreeSet, io, path::Path};
 #[derive(Debug, Clone, PartialEq)]
 pub enum Samples {
     F32(Vec<f32>),
+    F16(Vec<f16>),
     /// Ids: no float holds all of them.
     U32(Vec<u32>),
 }
@@ -30,6 +31,7 @@ impl Samples {
     fn len(&self) -> usize {
         match self {
             Samples::F32(values) => values.len(),
+            Samples::F16(values) => values.len(),
             Samples::U32(values) => values.len(),
         }
     }
@@ -38,7 +40,7 @@ impl Samples {
 /// The channels of one AOV; `name` is empty for the beauty.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Layer<'a> {
-    pub name: &'a str,
+    pub name: String,
     pub channels: Vec<(&'a str, Samples)>,
 }
 
@@ -146,6 +148,7 @@ fn channels(frame: &Frame, layers: Vec<Layer>) -> std::result::Result<AnyChannel
 fn channel_of(name: Text, samples: Samples) -> AnyChannel<FlatSamples> {
     match samples {
         Samples::F32(values) => AnyChannel::new(name, FlatSamples::F32(values)),
+        Samples::F16(values) => AnyChannel::new(name, FlatSamples::F16(values)),
         Samples::U32(values) => AnyChannel::new(name, FlatSamples::U32(values)),
     }
 }
@@ -225,8 +228,8 @@ mod tests {
     }
 
     fn layers(count: u32) -> Vec<Layer<'static>> {
-        let group = |name, channels: &[&'static str], scale: f32| Layer {
-            name,
+        let group = |name: &str, channels: &[&'static str], scale: f32| Layer {
+            name: name.to_owned(),
             channels: channels.iter().map(|&channel| (channel, ramp(count, scale))).collect(),
         };
         let ids = Samples::U32((0..count).map(|i| u32::MAX - i).collect());
@@ -234,7 +237,7 @@ mod tests {
             group("", &["R", "G", "B", "A"], 1e5),
             group("depth", &["Z"], 2.0),
             group("normal", &["X", "Y", "Z"], 0.25),
-            Layer { name: "primId", channels: vec![("id", ids)] },
+            Layer { name: "primId".into(), channels: vec![("id", ids)] },
         ]
     }
 

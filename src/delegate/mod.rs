@@ -2,19 +2,23 @@
 //! compiles what changed, a render pass runs in the background and fills AOV buffers.
 
 mod exr;
+mod fingerprint;
+
+pub use exr::LayerSpec;
 
 use crate::error::{Error, Result, Warning};
 use crate::film::{Film, Plane};
 use crate::flat::{self, FlatScene, Prim, RenderSettings, StageInfo, validate};
 use crate::guiding::look;
 use crate::integrator::PathStats;
-use crate::render::{GuideStats, Progress, film_for, render};
+use crate::render::{GuideStats, Keep, Progress, Report, film_for, render};
 use crate::scene::{CompileStats, Geometry, GeometryCache, ImageCache, Scene, compile, fit_images};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::thread::JoinHandle;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 bitflags::bitflags! {
     /// What of a prim changed; names as in HdChangeTracker.
@@ -41,7 +45,7 @@ bitflags::bitflags! {
 struct Pass {
     film: Arc<Film>,
     progress: Arc<Progress>,
-    thread: Option<JoinHandle<f64>>,
+    thread: Option<JoinHandle<Result<f64>>>,
     /// Seconds of rendering, once finished.
     seconds: Option<f64>,
     started: Instant,
@@ -203,7 +207,13 @@ impl RenderDelegate {
         let all = self.flat.warnings.iter().chain(self.prim_warnings.values().flatten()).chain(&self.commit_warnings);
         let mut warnings: Vec<Warning> = all.filter(|w| seen.insert((&w.prim, &w.message))).cloned().collect();
         warnings.extend(self.pass.as_ref().and_then(Pass::unfinished));
+        warnings.extend(self.report().warnings.into_iter().map(|message| Warning::new("render settings", message)));
         warnings
+    }
+
+    /// What the render under way or finished has to say.
+    fn report(&self) -> Report {
+        self.pass.as_ref().map_or(Report::default(), |pass| pass.progress.report())
     }
 
     /// Compiles what is dirty. A no-op where nothing is.
@@ -252,6 +262,19 @@ impl RenderDelegate {
 
     /// Starts the render pass in the background; needs a commit.
     pub fn start(&mut self) -> Result<()> {
+        self.start_kept(None).map(drop)
+    }
+
+    /// The same with a checkpoint `every` so often in `file`; with `resume` it goes on from that file if it is there,
+    /// and says whether it does.
+    ///
+    /// # Errors
+    /// As [`Self::start`], or a checkpoint that is not of this scene and these settings.
+    pub fn start_with_checkpoints(&mut self, file: PathBuf, every: Duration, resume: bool) -> Result<bool> {
+        self.start_kept(Some(Keep { file, every, resume, fingerprint: self.fingerprint_of_render() }))
+    }
+
+    fn start_kept(&mut self, keep: Option<Keep>) -> Result<bool> {
         let scene = self.scene.clone().filter(|_| self.clean);
         let scene = scene.ok_or_else(|| Error::Other("commit the scene before starting a render".into()))?;
         self.stop();
@@ -260,16 +283,17 @@ impl RenderDelegate {
             .num_threads(settings.threads as usize)
             .build()
             .map_err(|e| Error::Other(format!("threads: {e}")))?;
-        let film = Arc::new(film_for(&scene, &settings)?);
-        let progress = Arc::new(Progress::default());
+        let film = film_for(&scene, &settings)?.named(self.flat.meshes.keys().map(String::as_str));
+        let (film, progress) = (Arc::new(film), Arc::new(Progress::default()));
+        let resumes = keep.as_ref().map_or(Ok(false), Keep::check)?;
         let (film_of_thread, progress_of_thread) = (film.clone(), progress.clone());
         let thread = std::thread::spawn(move || {
             let start = Instant::now();
-            pool.install(|| render(&scene, &settings, &film_of_thread, &progress_of_thread));
-            start.elapsed().as_secs_f64()
+            pool.install(|| render(&scene, &settings, &film_of_thread, &progress_of_thread, keep.as_ref()))?;
+            Ok(start.elapsed().as_secs_f64())
         });
         self.pass = Some(Pass { film, progress, thread: Some(thread), seconds: None, started: Instant::now() });
-        Ok(())
+        Ok(resumes)
     }
 
     /// (fraction done, finished).
@@ -336,6 +360,7 @@ impl RenderDelegate {
         let counts = self.pass.as_ref().map_or(PathStats::default(), |pass| pass.progress.stats());
         let seconds = self.pass.as_ref().map_or(0.0, Pass::render_seconds);
         let guide = self.pass.as_ref().map(|pass| pass.progress.guide()).unwrap_or_default();
+        let report = self.report();
         json!({
             "settings": self.flat.settings,
             "samples_per_pixel": self.pass.as_ref().map_or(0.0, |pass| pass.film.samples_per_pixel()),
@@ -350,6 +375,9 @@ impl RenderDelegate {
             "non_finite_samples": counts.non_finite,
             "compile": self.compiled,
             "guide": self.guide_stats(&guide, seconds),
+            "adaptive": report.adaptive,
+            "resumed_samples_per_pixel": report.resumed,
+            "checkpoints": report.checkpoints.len(),
             "peak_rss_bytes": peak_rss_bytes(),
             "needs": self.scene.as_ref().map(|scene| &scene.needs),
             "warnings": self.warnings(),
@@ -383,7 +411,7 @@ impl Pass {
         let seconds = thread.join().map_err(|panic| {
             let text = panic.downcast_ref::<String>().map(String::as_str).or(panic.downcast_ref::<&str>().copied());
             Error::Other(format!("the render failed: {}", text.unwrap_or("no message")))
-        })?;
+        })??;
         self.seconds = Some(seconds);
         Ok(())
     }

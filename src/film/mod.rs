@@ -1,13 +1,19 @@
 //! The film: per-pixel sums of what samples brought, kept in tiles so that threads never share a pixel.
 
+pub mod cryptomatte;
+mod planes;
+mod saved;
 mod walks;
 
+pub use planes::Plane;
 pub use walks::FirstWalk;
 
-use crate::camera::DataWindow;
+use crate::camera::{DataWindow, View};
 use crate::error::{Error, Result};
 use crate::flat::GUIDE_AOVS;
 use crate::math::Rgb;
+use bytemuck::{Pod, Zeroable};
+use cryptomatte::ObjectSums;
 use glam::{DVec3, Vec3};
 use std::sync::Mutex;
 use walks::WalkSums;
@@ -27,6 +33,8 @@ struct Planes {
     pub variance: bool,
     /// Of the first walk behind the camera ray.
     pub walks: bool,
+    /// Coverage of a pixel by objects.
+    pub objects: bool,
 }
 
 impl Planes {
@@ -34,17 +42,19 @@ impl Planes {
     fn from_names(names: &[String]) -> Self {
         let has = |wanted: &[&str]| names.iter().any(|n| wanted.contains(&n.as_str()));
         Self {
-            geometry: has(&["depth", "normal", "position", "primId"]),
+            geometry: has(&planes::GEOMETRY),
             albedo: has(&["albedo"]),
             buckets: has(&["direct", "indirect", "subsurface"]),
             variance: has(&["variance"]),
             walks: has(&GUIDE_AOVS),
+            objects: has(&["cryptoObject"]),
         }
     }
 }
 
 /// What the first surface of a camera path was.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+#[repr(C)]
 pub struct FirstHit {
     /// Distance along the view axis, stage units.
     pub depth: f32,
@@ -94,8 +104,8 @@ impl Sample {
 /// A block of pixels with its sums; planes that nobody asked for are empty.
 #[derive(Debug, Default)]
 pub struct Tile {
-    pub x0: u32,
-    pub y0: u32,
+    pub x0: i32,
+    pub y0: i32,
     pub width: u32,
     pub height: u32,
     samples: Vec<u32>,
@@ -106,10 +116,11 @@ pub struct Tile {
     albedo: Vec<Rgb>,
     first: Vec<FirstHit>,
     walks: Vec<WalkSums>,
+    objects: Vec<ObjectSums>,
 }
 
 impl Tile {
-    fn new(x0: u32, y0: u32, width: u32, height: u32, planes: Planes) -> Self {
+    fn new(x0: i32, y0: i32, width: u32, height: u32, planes: Planes) -> Self {
         let n = (width * height) as usize;
         let on = |wanted: bool| if wanted { n } else { 0 };
         Self {
@@ -125,6 +136,7 @@ impl Tile {
             albedo: vec![Rgb::ZERO; on(planes.albedo)],
             first: vec![FirstHit::NONE; on(planes.geometry)],
             walks: vec![WalkSums::NONE; on(planes.walks)],
+            objects: vec![ObjectSums::NONE; on(planes.objects)],
         }
     }
 
@@ -147,6 +159,9 @@ impl Tile {
         }
         if let Some(first) = self.first.get_mut(i).filter(|first| sample.first.depth < first.depth) {
             *first = sample.first;
+        }
+        if let Some(objects) = self.objects.get_mut(i) {
+            objects.add(sample.first.prim_id);
         }
     }
 
@@ -177,7 +192,8 @@ fn check_memory(data_window: DataWindow, planes: Planes) -> Result<()> {
         + on(planes.buckets, size_of::<[Rgb; 3]>())
         + on(planes.albedo, size_of::<Rgb>())
         + on(planes.geometry, size_of::<FirstHit>())
-        + on(planes.walks, size_of::<WalkSums>());
+        + on(planes.walks, size_of::<WalkSums>())
+        + on(planes.objects, size_of::<ObjectSums>());
     let (width, height) = (data_window.width(), data_window.height());
     let bytes = width as usize * height as usize * per_pixel;
     Vec::<u8>::new().try_reserve_exact(bytes).map_err(|_| {
@@ -188,12 +204,14 @@ fn check_memory(data_window: DataWindow, planes: Planes) -> Result<()> {
     })
 }
 
-/// A resolved AOV: `channels` interleaved, rows top down, over the data window.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Plane {
-    pub name: &'static str,
-    pub channels: usize,
-    pub values: Vec<f32>,
+/// Sums over the pixels of a tile and their channels.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TileNoise {
+    pub pixels: f64,
+    /// Of one sample.
+    pub variance: f64,
+    /// Of the mean.
+    pub square: f64,
 }
 
 #[derive(Debug)]
@@ -205,6 +223,10 @@ pub struct Film {
     pub tiles: Vec<Mutex<Tile>>,
     /// Factor on radiance when resolved (camera exposure).
     exposure: f32,
+    /// For depths and eye-space vectors.
+    view: Option<View>,
+    /// Cryptomatte ids by `primId`.
+    object_ids: Vec<f32>,
 }
 
 impl Film {
@@ -219,11 +241,22 @@ impl Film {
         let mut tiles = Vec::new();
         for y0 in (data_window.y0..data_window.y1).step_by(TILE as usize) {
             for x0 in (data_window.x0..data_window.x1).step_by(TILE as usize) {
-                let (width, height) = (TILE.min(data_window.x1 - x0), TILE.min(data_window.y1 - y0));
+                let (width, height) = (TILE.min(data_window.x1.abs_diff(x0)), TILE.min(data_window.y1.abs_diff(y0)));
                 tiles.push(Mutex::new(Tile::new(x0, y0, width, height, planes)));
             }
         }
-        Ok(Self { data_window, planes, aovs: aovs.to_vec(), tiles, exposure })
+        Ok(Self { data_window, planes, aovs: aovs.to_vec(), tiles, exposure, view: None, object_ids: Vec::new() })
+    }
+
+    /// Where the camera stands.
+    pub fn seen_by(self, view: View) -> Self {
+        Self { view: Some(view), ..self }
+    }
+
+    /// Names of the objects by `primId`, for Cryptomatte.
+    pub fn named<'a>(self, objects: impl Iterator<Item = &'a str>) -> Self {
+        let object_ids = if self.planes.objects { objects.map(cryptomatte::id).collect() } else { Vec::new() };
+        Self { object_ids, ..self }
     }
 
     /// Whether an AOV shows the first walk behind the camera ray.
@@ -253,72 +286,35 @@ impl Film {
         count
     }
 
-    /// Root of (mean variance of the pixel means) over (mean square of the pixels): the relative RMS error
-    /// that the samples themselves estimate. Pessimistic, since stratification is not seen by it.
-    pub fn relative_error(&self) -> f64 {
-        let (mut variance, mut square) = (0.0, 0.0);
-        self.for_each_tile(|tile| {
-            for i in 0..tile.samples.len() {
-                let mean = tile.color[i] / f64::from(tile.samples[i].max(1));
-                variance += tile.mean_variance(i).element_sum();
-                square += (mean * mean).element_sum();
-            }
-        });
-        if square > 0.0 { (variance / square).sqrt() } else { 0.0 }
+    /// Tiles per row of tiles.
+    pub fn tiles_across(&self) -> usize {
+        self.data_window.width().div_ceil(TILE) as usize
     }
 
-    /// The image so far: `color` (RGBA, premultiplied) first, then the planes asked for.
-    pub fn resolve(&self) -> Vec<Plane> {
-        let mut planes = vec![self.plane("color", 4, |t, i| {
-            let n = f64::from(t.samples[i].max(1));
-            let c = t.color[i] / n * f64::from(self.exposure);
-            [c.x as f32, c.y as f32, c.z as f32, t.alpha[i] / n as f32]
-        })];
-        planes.push(self.plane("alpha", 1, |t, i| [t.alpha[i] / t.samples[i].max(1) as f32, 0.0, 0.0, 0.0]));
-        let rgb = |c: Rgb| [c.x, c.y, c.z, 0.0];
-        let mean = |t: &Tile, i: usize, c: Rgb| c / t.samples[i].max(1) as f32;
-        if self.planes.geometry {
-            planes.push(self.plane("depth", 1, |t, i| [t.first[i].depth, 0.0, 0.0, 0.0]));
-            planes.push(self.plane("normal", 3, |t, i| rgb(t.first[i].normal)));
-            planes.push(self.plane("position", 3, |t, i| rgb(t.first[i].position)));
-            planes.push(self.plane("primId", 1, |t, i| [t.first[i].prim_id as f32, 0.0, 0.0, 0.0]));
-        }
-        if self.planes.albedo {
-            planes.push(self.plane("albedo", 3, |t, i| rgb(mean(t, i, t.albedo[i]))));
-        }
-        if self.planes.buckets {
-            for (b, name) in ["direct", "indirect", "subsurface"].into_iter().enumerate() {
-                planes.push(self.plane(name, 3, |t, i| rgb(mean(t, i, t.buckets[i][b]) * self.exposure)));
+    /// How noisy each tile is, as its own samples say; needs second moments.
+    pub fn tile_noise(&self) -> Vec<TileNoise> {
+        let mut noise = Vec::with_capacity(self.tiles.len());
+        self.for_each_tile(|tile| {
+            let mut sums = TileNoise { pixels: tile.samples.len() as f64, variance: 0.0, square: 0.0 };
+            for (i, &n) in tile.samples.iter().enumerate().filter(|(_, n)| **n > 1) {
+                let (mean, variance) = (tile.color[i] / f64::from(n), tile.mean_variance(i).element_sum());
+                sums.variance += variance * f64::from(n);
+                // The square of a noisy mean is too large by its variance.
+                sums.square += (mean.length_squared() - variance).max(0.0);
             }
-        }
-        if self.planes.variance {
-            let scale = f64::from(self.exposure * self.exposure);
-            planes.push(self.plane("variance", 3, |t, i| {
-                // One sample knows nothing of its variance: 0 rather than an infinity in the file.
-                let v = if t.samples[i] < 2 { DVec3::ZERO } else { t.mean_variance(i) * scale };
-                // Squares of radiances above 1e19 leave single precision: its largest number, not an infinity.
-                rgb(v.min(DVec3::splat(f64::from(f32::MAX))).as_vec3())
-            }));
-        }
-        if self.planes.walks {
-            planes.extend(self.walk_planes());
-        }
-        planes.retain(|plane| plane.name == "color" || self.aovs.iter().any(|aov| aov == plane.name));
-        planes
+            noise.push(sums);
+        });
+        noise
     }
 
-    fn plane(&self, name: &'static str, channels: usize, value: impl Fn(&Tile, usize) -> [f32; 4]) -> Plane {
-        let width = self.data_window.width() as usize;
-        let mut values = vec![0.0; width * self.data_window.height() as usize * channels];
+    /// Samples of every pixel, where all have as many.
+    pub fn uniform_samples(&self) -> Option<u32> {
+        let (mut least, mut most) = (u32::MAX, 0);
         self.for_each_tile(|tile| {
-            for i in 0..tile.samples.len() {
-                let x = (tile.x0 - self.data_window.x0) as usize + i % tile.width as usize;
-                let y = (tile.y0 - self.data_window.y0) as usize + i / tile.width as usize;
-                let at = (y * width + x) * channels;
-                values[at..at + channels].copy_from_slice(&value(tile, i)[..channels]);
-            }
+            least = tile.samples.iter().fold(least, |a, &b| a.min(b));
+            most = tile.samples.iter().fold(most, |a, &b| a.max(b));
         });
-        Plane { name, channels, values }
+        (least == most).then_some(most)
     }
 }
 

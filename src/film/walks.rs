@@ -2,6 +2,7 @@
 
 use super::{Film, Plane};
 use crate::math::Rgb;
+use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 
 /// Cosine of the angle, 20 degrees, within which a slab normal agrees with that of the point of entry
@@ -25,12 +26,13 @@ pub struct FirstWalk {
 }
 
 /// Sums over the samples of a pixel that had a walk.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
 pub(super) struct WalkSums {
+    segments: u64,
     walks: u32,
     guided: u32,
     agreeing: u32,
-    segments: u64,
     normal: Vec3,
     irradiance: Rgb,
     shares: Vec3,

@@ -6,6 +6,10 @@ use serde::{Deserialize, Serialize};
 pub const AOVS: [&str; 10] =
     ["alpha", "depth", "normal", "position", "albedo", "primId", "direct", "indirect", "subsurface", "variance"];
 
+/// AOVs written only where asked for: kinds of depth (along the ray, of a rasteriser), eye space, samples per pixel,
+/// Cryptomatte of the objects.
+pub const EXTRA_AOVS: [&str; 6] = ["distance", "deviceDepth", "Peye", "Neye", "sampleCount", "cryptoObject"];
+
 /// AOVs for looking at the guide, of the first walk behind a camera ray: written only where asked for.
 pub const GUIDE_AOVS: [&str; 6] =
     ["slabNormal", "entryAgreement", "walkLength", "region", "cacheIrradiance", "techniqueShares"];
@@ -39,7 +43,8 @@ pub struct RenderSettings {
     pub threads: u32,
     /// Seconds of rendering; 0: no limit.
     pub time_limit: f32,
-    /// Stop when the estimated relative error of the image falls below; 0: never.
+    /// Relative error of the image from which pilot samples decide how many each tile gets, `samples` at most; 0:
+    /// all get `samples`.
     pub noise_threshold: f32,
     /// Refinements of subdivision surfaces, at most [`crate::subdivision::MAX_LEVEL`]; 0 renders their cages.
     pub refine_level: u32,
@@ -79,7 +84,7 @@ pub struct RenderSettings {
     pub texture_memory: u32,
     /// Camera rays see area lights.
     pub lights_visible_to_camera: bool,
-    /// AOVs beside the beauty, each one of [`AOVS`] or [`GUIDE_AOVS`]; all of the former by default.
+    /// AOVs beside the beauty, each one of [`AOVS`], [`EXTRA_AOVS`] or [`GUIDE_AOVS`]; all of the first by default.
     pub aovs: Vec<String>,
 }
 

@@ -7,9 +7,11 @@
 use super::statistics::ControlSums;
 use crate::math::Rgb;
 use crate::subsurface::technique::{PerTechnique, TECHNIQUES};
+use bytemuck::{Pod, Zeroable};
 
 /// Coefficients per channel of the estimate.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+#[repr(C)]
 pub struct Controls {
     beta: [PerTechnique; 3],
     /// Sum of the coefficients per channel.

@@ -4,6 +4,7 @@
 //! guiding"); samples say how large that is in every bin.
 
 use crate::math::{Rgb, TAU, mean};
+use bytemuck::{Pod, Zeroable};
 use glam::{Vec2, Vec3};
 
 /// Equal bands in z, each cut into equal angles.
@@ -22,7 +23,8 @@ pub struct Directions {
 }
 
 /// Sums over samples of directions.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
 pub struct DirectionSums {
     samples: f64,
     /// Of estimates f / p.

@@ -9,8 +9,10 @@ use super::cells::Cells;
 use super::directions::{DirectionSums, Directions};
 use crate::math::{PI, Rgb};
 use crate::sampling::cosine_hemisphere_pdf;
+use crate::saved::{Loader, Saver, damaged};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
+use std::io;
 
 /// Largest share of learned directions; the rest keeps the weight within 1 / (1 - this) of that of plain sampling, also
 /// where what was learned misleads.
@@ -108,6 +110,28 @@ impl Exits {
     pub fn fit(&mut self) {
         let fit = |cell: usize| Exit::fit(self.sums[cell].as_deref(), &self.coarse[self.around[cell] as usize]);
         self.learned = (0..self.sums.len()).into_par_iter().map(fit).collect();
+    }
+
+    /// What was learned; densities follow from it by [`Self::fit`].
+    pub(crate) fn save(&self, to: &mut Saver) -> io::Result<()> {
+        to.array(&self.coarse)?;
+        let seen = self.sums.iter().enumerate().filter_map(|(cell, sums)| Some((cell as u32, sums.as_ref()?)));
+        to.count(seen.clone().count())?;
+        for (cell, sums) in seen {
+            to.value(&cell)?;
+            to.value(sums.as_ref())?;
+        }
+        Ok(())
+    }
+
+    pub(crate) fn load(&mut self, from: &mut Loader) -> io::Result<()> {
+        from.array(&mut self.coarse)?;
+        for _ in 0..from.count()? {
+            let cell: u32 = from.value()?;
+            *self.sums.get_mut(cell as usize).ok_or_else(|| damaged("an exit"))? = Some(Box::new(from.value()?));
+        }
+        self.fit();
+        Ok(())
     }
 
     pub fn memory(&self) -> usize {

@@ -11,8 +11,10 @@ use super::statistics::{ControlSums, Sums};
 use super::weights::Profile;
 use crate::light::Parts;
 use crate::medium::Medium;
+use crate::saved::{Loader, Saver, damaged};
 use crate::subsurface::technique::Techniques;
 use glam::{Vec2, Vec3};
+use std::io;
 use std::sync::OnceLock;
 
 /// Techniques of a region, and what is known of them.
@@ -152,6 +154,36 @@ impl Field {
         if let Some(classical) = shares {
             learn(&mut region.techniques, &region.sums, classical);
         }
+    }
+
+    /// What regions and exits have learned; caches and slab normals are made again.
+    pub(crate) fn save(&self, to: &mut Saver) -> io::Result<()> {
+        let started =
+            self.regions.iter().enumerate().filter_map(|(number, region)| Some((number as u32, region.get()?)));
+        to.count(started.clone().count())?;
+        for (number, region) in started {
+            to.value(&number)?;
+            to.value(&region.techniques.shares)?;
+            to.value(&u8::from(region.controls.is_some()))?;
+            region.controls.as_ref().map_or(Ok(()), |controls| to.value(controls))?;
+            region.sums.save(to)?;
+        }
+        self.exits.as_ref().map_or(Ok(()), |exits| exits.save(to))
+    }
+
+    pub(crate) fn load(&mut self, from: &mut Loader) -> io::Result<()> {
+        for _ in 0..from.count()? {
+            let number: u32 = from.value()?;
+            if number as usize >= self.regions.len() {
+                return Err(damaged("a region"));
+            }
+            let mut region = self.first_region(number);
+            region.techniques.shares = from.value()?;
+            region.controls = if from.value::<u8>()? == 1 { Some(from.value()?) } else { None };
+            region.sums = Sums::load(from)?;
+            self.regions[number as usize] = OnceLock::from(Box::new(region));
+        }
+        self.exits.as_mut().map_or(Ok(()), |exits| exits.load(from))
     }
 
     /// Regions, and those of them that are lit.

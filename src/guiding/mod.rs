@@ -22,6 +22,7 @@ mod weights;
 
 use crate::flat::RenderSettings;
 use crate::light::Choice;
+use crate::saved::{Loader, Saver};
 use crate::scene::Scene;
 use crate::subsurface::technique::{GuidedMedium, Techniques};
 use control::Controls;
@@ -30,6 +31,7 @@ use field::Field;
 use glam::{Vec2, Vec3};
 use plan::{Plan, Walk, plans};
 use statistics::{RegionId, Statistics};
+use std::io;
 
 /// How the lights of a point where a walk comes out are sampled.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -216,6 +218,16 @@ impl Guide {
             }
         }
         self.fields.iter_mut().flatten().filter_map(|field| field.exits.as_mut()).for_each(exit::Exits::fit);
+    }
+
+    /// What was learned since the fields were filled, for a checkpoint.
+    pub(crate) fn save(&self, to: &mut Saver) -> io::Result<()> {
+        self.fields.iter().flatten().try_for_each(|field| field.save(to))
+    }
+
+    /// Takes it in again: into a guide whose fields were filled in the same way.
+    pub(crate) fn load(&mut self, from: &mut Loader) -> io::Result<()> {
+        self.fields.iter_mut().flatten().try_for_each(|field| field.load(from))
     }
 
     /// Regions of all fields, and those of them that are lit.

@@ -2,11 +2,15 @@
 
 use super::directions::DirectionSums;
 use crate::math::Rgb;
+use crate::saved::{Loader, Saver};
 use crate::subsurface::technique::{PerTechnique, TECHNIQUES};
+use bytemuck::{Pod, Zeroable};
 use std::collections::btree_map::{BTreeMap, Entry};
+use std::io;
 
 /// A region of the boundary cache of an instance.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Pod, Zeroable)]
+#[repr(C)]
 pub struct RegionId {
     pub instance: u32,
     pub region: u32,
@@ -29,7 +33,8 @@ pub struct Sums {
 }
 
 /// Sums for the regression of estimates on density ratios.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
 pub struct ControlSums {
     pub walks: f64,
     pub estimate: [f64; 3],
@@ -93,6 +98,22 @@ impl Sums {
             self.controls.get_or_insert_default().merge(controls);
         }
     }
+
+    pub(crate) fn save(&self, to: &mut Saver) -> io::Result<()> {
+        to.value(&self.walks)?;
+        to.value(&[self.estimate, self.squares])?;
+        to.value(&self.second_moment)?;
+        to.value(&u8::from(self.controls.is_some()))?;
+        self.controls.as_deref().map_or(Ok(()), |controls| to.value(controls))
+    }
+
+    pub(crate) fn load(from: &mut Loader) -> io::Result<Self> {
+        let walks = from.value()?;
+        let [estimate, squares] = from.value()?;
+        let second_moment = from.value()?;
+        let controls = if from.value::<u8>()? == 1 { Some(Box::new(from.value()?)) } else { None };
+        Ok(Self { walks, estimate, squares, second_moment, controls })
+    }
 }
 
 impl ControlSums {
@@ -155,5 +176,26 @@ impl Statistics {
                 Entry::Occupied(mut place) => place.get_mut().merge(&sums),
             }
         }
+    }
+
+    pub(crate) fn save(&self, to: &mut Saver) -> io::Result<()> {
+        to.count(self.walks.len())?;
+        for (region, sums) in &self.walks {
+            to.value(region)?;
+            sums.save(to)?;
+        }
+        to.count(self.exits.len())?;
+        for (cell, sums) in &self.exits {
+            to.value(cell)?;
+            to.value(sums.as_ref())?;
+        }
+        Ok(())
+    }
+
+    pub(crate) fn load(from: &mut Loader) -> io::Result<Self> {
+        let walks = (0..from.count()?).map(|_| Ok((from.value()?, Sums::load(from)?))).collect::<io::Result<_>>()?;
+        let exits =
+            (0..from.count()?).map(|_| Ok((from.value()?, Box::new(from.value()?)))).collect::<io::Result<_>>()?;
+        Ok(Self { walks, exits })
     }
 }

@@ -22,12 +22,14 @@ use crate::math::Rgb;
 use crate::sampling::sampler::Sampler;
 use crate::scene::{Coating, Origin, Scene, SurfaceHit};
 use crate::subsurface::steps::WalkStats;
+use bytemuck::{Pod, Zeroable};
 use collision::Refracted;
 use glam::Vec3;
 use nest::{Inside, Nest};
 
 /// Counts of one or many paths, for the statistics.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Pod, Zeroable)]
+#[repr(C)]
 pub struct PathStats {
     pub rays: u64,
     pub shadow_rays: u64,

@@ -1,29 +1,27 @@
-//! Rendering: passes over the tiles of the film until samples, time or noise say stop.
+//! Rendering: passes over the tiles of the film until samples, time or a stop say it is over.
 
+mod adaptive;
 mod bodies;
+mod checkpoint;
+mod pass;
 mod training;
 
+pub use adaptive::Adaptive;
+pub use checkpoint::Keep;
+
 use crate::error::Result;
-use crate::film::{Film, Tile};
+use crate::film::Film;
 use crate::flat::RenderSettings;
 use crate::guiding::Guide;
 use crate::guiding::look::TechniqueShares;
-use crate::guiding::statistics::Statistics;
-use crate::integrator::{PathSettings, PathStats, WalkLog, trace};
-use crate::sampling::sampler::Sampler;
+use crate::integrator::PathStats;
 use crate::scene::Scene;
-use glam::Vec2;
+use checkpoint::Keeper;
+use pass::{Passes, Phase, Schedule};
 use serde::Serialize;
-use std::collections::BTreeMap;
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
-
-/// Samples of the longest pass: short enough that a time limit is met, long enough that nobody waits.
-const LONGEST_PASS: u32 = 16;
-
-/// Samples below which the noise estimate is not trusted.
-const MIN_NOISE_SAMPLES: u32 = 16;
 
 /// A render under way: shared between the thread that renders and those that watch.
 pub struct Progress {
@@ -32,6 +30,20 @@ pub struct Progress {
     fraction: AtomicU64,
     stats: Mutex<PathStats>,
     guide: Mutex<GuideStats>,
+    report: Mutex<Report>,
+}
+
+/// What a render has to say beside its counts.
+#[derive(Debug, Clone, Default)]
+pub struct Report {
+    /// How pilot samples shared out the others.
+    pub adaptive: Option<Adaptive>,
+    /// Samples per pixel, on average, that came from a checkpoint.
+    pub resumed: Option<f64>,
+    /// Seconds since the start at which a checkpoint was written last.
+    pub checkpoints: Vec<f64>,
+    /// Checkpoints that could not be written.
+    pub warnings: Vec<String>,
 }
 
 impl Default for Progress {
@@ -41,8 +53,14 @@ impl Default for Progress {
             fraction: AtomicU64::new(0),
             stats: Mutex::default(),
             guide: Mutex::default(),
+            report: Mutex::default(),
         }
     }
+}
+
+fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    // A panic elsewhere leaves sums that are still sums.
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// What was learned, for the statistics.
@@ -82,81 +100,145 @@ impl Progress {
     }
 
     pub fn stats(&self) -> PathStats {
-        *self.stats.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
+        *locked(&self.stats)
     }
 
     pub fn guide(&self) -> GuideStats {
-        self.guide.lock().unwrap_or_else(std::sync::PoisonError::into_inner).clone()
+        locked(&self.guide).clone()
+    }
+
+    pub fn report(&self) -> Report {
+        locked(&self.report).clone()
     }
 
     fn set_guide(&self, stats: GuideStats) {
-        *self.guide.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = stats;
+        *locked(&self.guide) = stats;
+    }
+
+    fn set_fraction(&self, fraction: f64) {
+        self.fraction.store(fraction.min(1.0).to_bits(), Ordering::Relaxed);
     }
 
     fn add(&self, stats: &PathStats) {
-        self.stats.lock().unwrap_or_else(std::sync::PoisonError::into_inner).add(stats);
+        locked(&self.stats).add(stats);
     }
 }
 
 /// The film that `render` fills.
 pub fn film_for(scene: &Scene, settings: &RenderSettings) -> Result<Film> {
-    let noise = settings.noise_threshold > 0.0;
-    Film::new(scene.camera.data_window, &settings.aovs, noise, scene.camera.exposure)
+    let film = Film::new(scene.camera.data_window, &settings.aovs, false, scene.camera.exposure)?;
+    Ok(film.seen_by(scene.camera.view()))
 }
 
-/// Renders samples `sample_offset..sample_offset + samples` into `film`. Deterministic for any number of
-/// threads of the current rayon pool, except where a time limit ends it.
-pub fn render(scene: &Scene, settings: &RenderSettings, film: &Film, progress: &Progress) {
-    let start = Instant::now();
-    let limit = (settings.time_limit > 0.0).then(|| Duration::from_secs_f32(settings.time_limit));
-    let out_of_time = || limit.is_some_and(|limit| start.elapsed() >= limit);
-    let mut guide = Guide::new(scene, settings);
-    let trained = training::train(scene, settings, &mut guide);
-    progress.add(&trained.stats);
-    if film.watches_walks() {
-        guide.number_regions();
-    }
-    let [bodies, bodies_too_small] = trained.bodies;
-    let (seconds, records) = (start.elapsed().as_secs_f64(), trained.records);
-    let mut learned = GuideStats { seconds, records, bodies, bodies_too_small, ..GuideStats::default() };
-    learned.count(&guide);
-    progress.set_guide(learned.clone());
-    let (mut done, mut pass) = (0, 1);
-    while done < settings.samples && !progress.stopped() {
-        let count = pass.min(settings.samples - done);
-        let begin = settings.sample_offset + done;
-        let finished = AtomicU64::new(0);
-        let seen = each_tile(film, |tile| {
-            if progress.stopped() || out_of_time() {
-                return Statistics::default();
-            }
-            let (stats, seen) = render_tile(scene, &guide, settings, tile, begin, count);
-            progress.add(&stats);
-            let tiles = finished.fetch_add(1, Ordering::Relaxed) + 1;
-            let samples = f64::from(done) + f64::from(count) * tiles as f64 / film.tiles.len() as f64;
-            let by_samples = samples / f64::from(settings.samples);
-            let by_time = limit.map_or(0.0, |limit| start.elapsed().as_secs_f64() / limit.as_secs_f64());
-            progress.fraction.store(by_samples.max(by_time).min(1.0).to_bits(), Ordering::Relaxed);
-            seen
-        });
-        done += count;
-        pass = (pass * 2).min(LONGEST_PASS);
-        let quiet = settings.noise_threshold > 0.0
-            && done >= MIN_NOISE_SAMPLES
-            && film.relative_error() < f64::from(settings.noise_threshold);
-        if quiet || out_of_time() {
-            break;
+/// Renders samples `sample_offset..sample_offset + samples` into `film`, or as many per tile as pilot samples say where
+/// there is a noise threshold. Deterministic for any number of threads of the current rayon pool, except where a time
+/// limit ends it. With `keep` it writes checkpoints, and goes on from one if asked to: with the same image.
+///
+/// # Errors
+/// A checkpoint to go on from that cannot be read, or a film for which there is no memory.
+pub fn render(
+    scene: &Scene,
+    settings: &RenderSettings,
+    film: &Film,
+    progress: &Progress,
+    keep: Option<&Keep>,
+) -> Result<()> {
+    let mut run = Run::new(scene, settings, progress, keep);
+    run.train(film);
+    let pilot = (settings.noise_threshold > 0.0 && settings.samples > adaptive::PILOT_SAMPLES)
+        .then(|| adaptive::pilot_film(scene))
+        .transpose()?;
+    let tiles = film.tiles.len();
+    let mut at = (Passes::default(), Schedule::image(settings, vec![settings.samples; tiles]));
+    if let Some(pilot) = &pilot {
+        at = (Passes::default(), Schedule::pilot(settings, tiles));
+        run.expect(2 * u64::from(adaptive::PILOT_SAMPLES) * tiles as u64);
+        run.resume(|phase| if phase == Phase::Pilot { pilot } else { film }, &mut at)?;
+        if at.1.phase == Phase::Pilot && run.passes(pilot, &at.1, &mut at.0) {
+            let (budget, adaptive) = adaptive::share_out(pilot, settings.noise_threshold, settings.samples);
+            locked(&progress.report).adaptive = Some(adaptive);
+            at = (Passes::default(), Schedule::image(settings, budget));
         }
-        if guide.learns() && done < settings.samples {
-            let begin = Instant::now();
-            guide.learn(&seen);
-            learned.learned_passes += 1;
-            learned.seconds += begin.elapsed().as_secs_f64();
-            learned.count(&guide);
-            progress.set_guide(learned.clone());
+    } else {
+        run.resume(|_| film, &mut at)?;
+    }
+    if at.1.phase == Phase::Image {
+        run.expect(at.1.samples() + pilot.map_or(0, |_| u64::from(adaptive::PILOT_SAMPLES) * tiles as u64));
+        run.passes(film, &at.1, &mut at.0);
+    }
+    progress.set_fraction(1.0);
+    Ok(())
+}
+
+/// One render: what it reads, and the guide that it teaches.
+struct Run<'a> {
+    scene: &'a Scene,
+    settings: &'a RenderSettings,
+    progress: &'a Progress,
+    keeper: Option<Keeper<'a>>,
+    guide: Guide,
+    learned: GuideStats,
+    start: Instant,
+    limit: Option<Duration>,
+    /// Samples of one pixel, summed over tiles: done, and to be done.
+    finished: AtomicU64,
+    expected: u64,
+}
+
+impl<'a> Run<'a> {
+    fn new(scene: &'a Scene, settings: &'a RenderSettings, progress: &'a Progress, keep: Option<&'a Keep>) -> Self {
+        Self {
+            scene,
+            settings,
+            progress,
+            keeper: keep.map(Keeper::new),
+            guide: Guide::new(scene, settings),
+            learned: GuideStats::default(),
+            start: Instant::now(),
+            limit: (settings.time_limit > 0.0).then(|| Duration::from_secs_f32(settings.time_limit)),
+            finished: AtomicU64::new(0),
+            expected: 1,
         }
     }
-    progress.fraction.store(1.0_f64.to_bits(), Ordering::Relaxed);
+
+    fn train(&mut self, film: &Film) {
+        let trained = training::train(self.scene, self.settings, &mut self.guide);
+        self.progress.add(&trained.stats);
+        if film.watches_walks() {
+            self.guide.number_regions();
+        }
+        self.learned.seconds = self.start.elapsed().as_secs_f64();
+        self.learned.records = trained.records;
+        [self.learned.bodies, self.learned.bodies_too_small] = trained.bodies;
+        self.learned.count(&self.guide);
+        self.progress.set_guide(self.learned.clone());
+    }
+
+    /// Whether a stop or the time limit ends the render.
+    fn is_over(&self) -> bool {
+        self.progress.stopped() || self.limit.is_some_and(|limit| self.start.elapsed() >= limit)
+    }
+
+    fn expect(&mut self, samples: u64) {
+        self.expected = samples.max(1);
+    }
+
+    fn note(&self, samples: u64) {
+        let finished = self.finished.fetch_add(samples, Ordering::Relaxed) + samples;
+        let by_samples = finished as f64 / self.expected as f64;
+        let by_time = self.limit.map_or(0.0, |limit| self.start.elapsed().as_secs_f64() / limit.as_secs_f64());
+        self.progress.set_fraction(by_samples.max(by_time));
+    }
+
+    /// Takes in what a pass has seen.
+    fn learn(&mut self, seen: &crate::guiding::statistics::Statistics) {
+        let begin = Instant::now();
+        self.guide.learn(seen);
+        self.learned.learned_passes += 1;
+        self.learned.seconds += begin.elapsed().as_secs_f64();
+        self.learned.count(&self.guide);
+        self.progress.set_guide(self.learned.clone());
+    }
 }
 
 impl GuideStats {
@@ -167,74 +249,4 @@ impl GuideStats {
         (self.walked_regions, self.control_regions) = (learned.regions, learned.controlled);
         self.technique_shares = learned.shares;
     }
-}
-
-/// Statistics of tiles, merged in the order of the tiles whatever order they are done in.
-#[derive(Default)]
-struct Merger {
-    merged: Statistics,
-    next: usize,
-    waiting: BTreeMap<usize, Statistics>,
-}
-
-impl Merger {
-    fn add(&mut self, tile: usize, seen: Statistics) {
-        self.waiting.insert(tile, seen);
-        while let Some(seen) = self.waiting.remove(&self.next) {
-            self.merged.merge(seen);
-            self.next += 1;
-        }
-    }
-}
-
-/// Does `work` on every tile, one queue for all threads so that few results wait for their turn.
-fn each_tile(film: &Film, work: impl Fn(&mut Tile) -> Statistics + Sync) -> Statistics {
-    let (next, merger) = (AtomicUsize::new(0), Mutex::new(Merger::default()));
-    rayon::broadcast(|_| {
-        loop {
-            let i = next.fetch_add(1, Ordering::Relaxed);
-            let Some(tile) = film.tiles.get(i) else { return };
-            let seen = work(&mut tile.lock().unwrap_or_else(std::sync::PoisonError::into_inner));
-            merger.lock().unwrap_or_else(std::sync::PoisonError::into_inner).add(i, seen);
-        }
-    });
-    merger.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner).merged
-}
-
-fn render_tile(
-    scene: &Scene,
-    guide: &Guide,
-    settings: &RenderSettings,
-    tile: &mut Tile,
-    begin: u32,
-    count: u32,
-) -> (PathStats, Statistics) {
-    let mut stats = PathStats::default();
-    let mut log = WalkLog::default();
-    let path =
-        PathSettings { max_depth: settings.max_depth, lights_visible_to_camera: settings.lights_visible_to_camera };
-    let lens = scene.camera.has_depth_of_field();
-    for i in 0..(tile.width * tile.height) as usize {
-        let (x, y) = (tile.x0 + i as u32 % tile.width, tile.y0 + i as u32 / tile.width);
-        // The pixel's number in the whole image: a crop renders the pixels of the whole.
-        let pixel = y * scene.camera.size[0] + x;
-        for sample in begin..begin + count {
-            let mut sampler = Sampler::new(settings.seed, pixel, sample);
-            let u_filter = sampler.next_2d();
-            let u_lens = if lens { sampler.next_2d() } else { sampler.skip_2d() };
-            let raster = Vec2::new(x as f32 + 0.5 + tent(u_filter.x), y as f32 + 0.5 + tent(u_filter.y));
-            let ray = scene.camera.ray(raster, u_lens);
-            let sample = trace(scene, guide, path, ray, &mut sampler, &mut stats, &mut log);
-            tile.add(i, &sample);
-            if let Some(walk) = log.first.take() {
-                tile.add_walk(i, sample.first.depth, &walk);
-            }
-        }
-    }
-    (stats, log.statistics)
-}
-
-/// Pixel filter by importance sampling: a tent of radius 1 pixel, so that samples stay in their pixel's sum.
-fn tent(u: f32) -> f32 {
-    if u < 0.5 { (2.0 * u).sqrt() - 1.0 } else { 1.0 - (2.0 - 2.0 * u).sqrt() }
 }

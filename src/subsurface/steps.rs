@@ -1,6 +1,7 @@
 //! The geometry of a walk: segments from a boundary point to the next one.
 
 use crate::math::Rgb;
+use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 
 /// A closed boundary seen from inside: a mesh instance, or a slab in tests.
@@ -46,7 +47,8 @@ pub enum WalkEnd<H> {
 }
 
 /// Counts for the statistics.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Pod, Zeroable)]
+#[repr(C)]
 pub struct WalkStats {
     pub walks: u64,
     pub steps: u64,

@@ -9,13 +9,15 @@
 use super::kernel::Kernel;
 use crate::math::Rgb;
 use crate::medium::Medium;
+use bytemuck::{Pod, Zeroable};
 use glam::{DVec3, Vec3};
 
 /// Slab normals per region: a vector register of f32.
 pub const LANES: usize = 8;
 
 /// A value per channel and slab normal, with one per channel for the classical technique.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
+#[repr(C)]
 pub struct PerTechnique {
     pub guided: [[f32; LANES]; 3],
     pub classical: [f32; 3],

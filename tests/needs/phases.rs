@@ -47,7 +47,7 @@ fn fingerprint(planes: &[Plane]) -> u64 {
 /// The image of `scene`, in planes that are dropped with all else at the end of the phase.
 fn picture(scene: &Scene, settings: &RenderSettings) -> dermis::error::Result<u64> {
     let film = film_for(scene, settings)?;
-    render(scene, settings, &film, &Progress::default());
+    render(scene, settings, &film, &Progress::default(), None)?;
     let planes = film.resolve();
     Ok(fingerprint(&planes[..1]))
 }

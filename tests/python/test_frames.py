@@ -3,7 +3,7 @@
 import argparse
 
 import pytest
-from pxr import Usd
+from pxr import Usd, UsdUtils
 
 from dermis.cli import frames
 
@@ -52,7 +52,24 @@ def test_frame_path(path, time, file):
     ],
 )
 def test_frame_specs(specs, times, decimals):
-    assert frames.parse_frame_specs(specs) == (times, decimals)
+    found, needed = frames.parse_frame_specs(specs)
+    assert ([code.GetValue() for code in found], needed, len(found)) == (times, decimals, len(times))
+    assert [found[i] for i in range(len(found))] == list(found) and found[-1].GetValue() == times[-1]
+
+
+@pytest.mark.parametrize("spec", ["1:2x0.1", "0:1x0.3", "5:1x-0.7", "1:100x7", "0:3x0.1", "-1:1x0.25"])
+def test_frame_counts_are_those_of_usd(spec):
+    codes = list(UsdUtils.TimeCodeRange.CreateFromFrameSpec(spec))
+    found, _ = frames.parse_frame_specs(spec)
+    assert [code.GetValue() for code in found] == pytest.approx([code.GetValue() for code in codes])
+
+
+def test_a_long_range_costs_nothing():
+    found, _ = frames.parse_frame_specs("1:1e9")
+    assert (len(found), found[5].GetValue(), found[-1].GetValue()) == (10**9, 6.0, 1e9)
+    assert next(iter(found)).GetValue() == 1.0
+    with pytest.raises(IndexError):
+        found[10**9]
 
 
 @pytest.mark.parametrize("specs", ["x", "1:2:3", "1:5x", "1:5x-1", "1:2x0", "1,,2"])

@@ -15,8 +15,18 @@ def single_scattering_albedo(
     """The single-scattering albedo per channel that shows `color` (RGB) behind a boundary. `eta`: of a dielectric one,
     which is lit at normal incidence; 1 for others, which are lit diffusely."""
 
+def write_channels(
+    file: str,
+    frame: tuple[Sequence[int], Sequence[int], Sequence[int], float],
+    channels: Sequence[tuple[str, NDArray]],
+    attributes: str,
+) -> None:
+    """Writes float32 or uint32 arrays (height, width) as channels of an EXR like the renderer's own. `frame`:
+    resolution, origin and size of the data window, pixel aspect ratio; `attributes`: a JSON object."""
+
 class Delegate:
-    """Hydra's render delegate: prims come by `sync`, changes take effect at `commit`."""
+    """Hydra's render delegate: prims come by `sync`, changes take effect at `commit`. Threads may share one: each call
+    waits for its turn, `wait` lets others in."""
 
     def __init__(self) -> None: ...
     @staticmethod
@@ -56,8 +66,10 @@ class Delegate:
         """World bounds (min, max) of the visible meshes; None without any."""
 
     def cameras(self) -> list[str]: ...
-    def start(self) -> None:
-        """Starts the render in the background; call after `commit`."""
+    def start(self, checkpoint: str | None = None, every: float = 0.0, resume: bool = False) -> bool:
+        """Starts the render in the background; call after `commit`. With `checkpoint`, its state is written to that
+        file `every` so many seconds and where it is stopped; with `resume` it goes on from the file, to the image of
+        an uninterrupted render. True if it does. Raises CoreError for a file of another scene or other settings."""
 
     def poll(self) -> tuple[float, bool]:
         """(fraction done, finished). Raises CoreError if the render failed."""
@@ -76,6 +88,7 @@ class Delegate:
     def stats(self) -> str:
         """JSON with the names of the contract (`samples_per_pixel`, `seconds.total`, `guide.media`, ...)."""
 
-    def write_exr(self, file: str, attributes: str) -> None:
-        """Writes all AOVs as one multi-layer EXR (temporary name, then renamed); `attributes` is a JSON
-        object of strings for the header. Honours the data window."""
+    def write_exr(self, file: str, attributes: str, layers: str | None = None) -> None:
+        """Writes AOVs as one multi-layer EXR (temporary name, then renamed); `attributes` is a JSON object of strings
+        for the header, `layers` a JSON list of `{name, aov, half}`, without it all AOVs under their own names. Honours
+        the data window."""

@@ -1,4 +1,4 @@
-"""AOVs beside the beauty, as `flat::RenderSettings::aovs` names them: AOVS by default, GUIDE_AOVS where asked for."""
+"""AOVs beside the beauty, as `flat::RenderSettings::aovs` names them: AOVS by default, the others where asked for."""
 
 AOVS = (
     "alpha",
@@ -14,3 +14,5 @@ AOVS = (
 )
 
 GUIDE_AOVS = ("slabNormal", "entryAgreement", "walkLength", "region", "cacheIrradiance", "techniqueShares")
+
+EXTRA_AOVS = ("distance", "deviceDepth", "Peye", "Neye", "sampleCount", "cryptoObject")

@@ -11,6 +11,7 @@ import numpy as np
 import PyOpenColorIO as ocio
 from numpy.typing import NDArray
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 #: The configuration without `$OCIO`: by its full name, for `ocio://default` changes with the library.
 BUILTIN_CONFIG = "cg-config-v4.0.0_aces-v2.0_ocio-v2.5"
@@ -137,14 +138,27 @@ def display_pixels(
     return quantize(np.concatenate([transform.apply(straight), coverage], axis=-1))
 
 
-def write_display_image(file: Path, color: NDArray[np.floating], transform: DisplayTransform) -> None:
+def write_display_image(
+    file: Path, color: NDArray[np.floating], transform: DisplayTransform, comment: str = ""
+) -> None:
     """Writes a PNG (RGBA) or a JPEG (RGB over black); `color` is premultiplied linear RGBA or RGB."""
     if Path(file).suffix.lower() == ".png":
-        Image.fromarray(display_pixels(color, transform, alpha=True)).save(file, format="PNG")
+        notes = PngInfo()
+        if comment:
+            notes.add_text("comment", comment)
+        Image.fromarray(display_pixels(color, transform, alpha=True)).save(file, format="PNG", pnginfo=notes)
     else:
         pixels = display_pixels(color, transform, alpha=False)
         # No chroma subsampling: small saturated highlights are what these images are looked at for.
-        Image.fromarray(pixels).save(file, format="JPEG", quality=95, subsampling=0)
+        Image.fromarray(pixels).save(file, format="JPEG", quality=95, subsampling=0, comment=comment)
+
+
+def image_comment(file: Path) -> str:
+    """The comment of a PNG or JPEG. Raises OSError for a file that is none, or is damaged."""
+    with Image.open(file) as image:
+        image.load()
+        comment = image.info.get("comment", "")
+    return comment.decode("utf-8", "replace") if isinstance(comment, bytes) else comment
 
 
 def _known(kind: str, name: str, known: Iterable[str], default: str) -> str:

@@ -4,8 +4,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from pxr import Gf, Usd, UsdShade
+from pxr import Gf, Usd
 
+from .bindings import bound_materials
 from .camera import flatten_camera
 from .instancer import Matrices, nested
 from .light import flatten_light
@@ -22,9 +23,9 @@ Prim = dict[str, Any]
 class Emitter:
     """Collects the prims of one flattening."""
 
-    def __init__(self, reader: Reader, binding_purpose: str, domes_visible: bool) -> None:
+    def __init__(self, reader: Reader, binding_purposes: tuple[str, ...], domes_visible: bool) -> None:
         self.reader = reader
-        self.binding_purpose = binding_purpose
+        self.binding_purposes = binding_purposes
         self.domes_visible = domes_visible
         self.skins = Skins(reader)
         self.prims: dict[str, Prim] = {}
@@ -143,8 +144,8 @@ class Emitter:
     def bind(self) -> None:
         """Material bindings of all meshes and subsets, and the materials they name."""
         prims = [prim for prim, _ in self.bindables]
-        materials, sources = UsdShade.MaterialBindingAPI.ComputeBoundMaterials(prims, self.binding_purpose)
-        for (prim, fields), material, source in zip(self.bindables, materials, sources, strict=True):
+        bound = bound_materials(prims, self.binding_purposes)
+        for (prim, fields), (material, source) in zip(self.bindables, bound, strict=True):
             if material:
                 fields["material"] = self.material(material.GetPrim())
             elif source and (targets := source.GetTargets()):

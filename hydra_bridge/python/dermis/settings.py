@@ -4,7 +4,7 @@ from typing import Any
 
 from pxr import Sdf, Usd, UsdRender
 
-from .aovs import AOVS, GUIDE_AOVS
+from .products import product_aovs, product_layers, related_products
 from .reading import Reader
 
 CONFORM_POLICIES = (
@@ -43,12 +43,6 @@ DERMIS_SETTINGS: dict[str, Any] = {
 }
 """Custom attributes `dermis:NAME` of the settings prim, with the type each has."""
 
-RAW_SOURCES = {"a": "alpha", "z": "depth", "N": "normal", "P": "position", "Neye": "normal"} | {
-    a: a for a in (*AOVS, *GUIDE_AOVS)
-}
-
-BEAUTY_SOURCES = ("C.*[LO]", "C.*", "Ci", "color", "C")
-
 
 def find_settings(stage: Usd.Stage, path: str, reader: Reader) -> Usd.Prim | None:
     """The RenderSettings prim at `path`, else the one that the stage's metadata names; None without."""
@@ -64,15 +58,14 @@ def find_settings(stage: Usd.Stage, path: str, reader: Reader) -> Usd.Prim | Non
 
 def flatten_settings(prim: Usd.Prim, reader: Reader) -> dict[str, Any]:
     """Authored settings; those of the first product override (UsdRenderSettingsBase)."""
-    products = [p for p in related(prim, "products") if p.IsA(UsdRender.Product)]
-    if len(products) > 1:
-        reader.warn(prim, f"products: only {products[0].GetPath()} is rendered")
+    products = related_products(prim)
     settings: dict[str, Any] = {}
     for source in (prim, *products[:1]):
         settings.update(base_settings(source, reader))
     settings.update(dermis_settings(prim, reader))
-    aovs = [name for product in products[:1] for name in product_aovs(product, reader)]
-    return {**settings, "aovs": list(dict.fromkeys(aovs))} if aovs else settings
+    if products and products[0].GetRelationship("orderedVars").GetForwardedTargets():
+        settings["aovs"] = product_aovs(product_layers(products[0], reader))
+    return settings
 
 
 def base_settings(prim: Usd.Prim, reader: Reader) -> dict[str, Any]:
@@ -123,36 +116,21 @@ def dermis_settings(prim: Usd.Prim, reader: Reader) -> dict[str, Any]:
     return settings
 
 
-def product_aovs(product: Usd.Prim, reader: Reader) -> list[str]:
-    """AOV names of the product's RenderVars; beauty needs no name."""
-    names = []
-    for var in related(product, "orderedVars"):
-        source = reader.value(var, "sourceName", "") or var.GetName()
-        name = RAW_SOURCES.get(source) or RAW_SOURCES.get(var.GetName())
-        if name:
-            names.append(name)
-        elif source not in BEAUTY_SOURCES:
-            reader.warn(var, f"sourceName: '{source}' is no AOV of dermis; it is not written")
-    return names
-
-
 def included_purposes(prim: Usd.Prim | None, reader: Reader) -> tuple[str, ...]:
     """`includedPurposes` of the settings; default and render without."""
     purposes = reader.tokens(prim, "includedPurposes") if prim else None
     return ("default", "render") if purposes is None else tuple(purposes)
 
 
-def binding_purpose(prim: Usd.Prim | None, reader: Reader) -> str:
-    """The first named material purpose; bindings for all purposes stand in where it has none."""
+def binding_purposes(prim: Usd.Prim | None, reader: Reader) -> tuple[str, ...]:
+    """Material purposes in the order in which bindings are looked for; full, then those for all purposes (`""`)."""
     purposes = reader.tokens(prim, "materialBindingPurposes") if prim else None
-    return next((purpose for purpose in purposes or () if purpose in ("full", "preview")), "full")
-
-
-def related(prim: Usd.Prim, name: str) -> list[Usd.Prim]:
-    relationship = prim.GetRelationship(name)
-    paths = relationship.GetForwardedTargets() if relationship else []
-    prims = [prim.GetStage().GetPrimAtPath(path) for path in paths]
-    return [p for p in prims if p]
+    if purposes is None:
+        return ("full", "")
+    for purpose in purposes:
+        if purpose not in ("full", "preview", ""):
+            reader.warn(prim, f"materialBindingPurposes: '{purpose}' is no material purpose; ignored")
+    return tuple(dict.fromkeys(purpose for purpose in purposes if purpose in ("full", "preview", "")))
 
 
 def authored(prim: Usd.Prim, name: str) -> bool:

@@ -16,8 +16,9 @@ from .emit import Emitter
 from .graph import primvars_read
 from .images import load_image
 from .material import flatten_material
+from .products import Product, flatten_products
 from .reading import Reader, Report, usd_words
-from .settings import binding_purpose, find_settings, flatten_settings, included_purposes
+from .settings import binding_purposes, find_settings, flatten_settings, included_purposes
 from .walk import Walk
 
 __all__ = [
@@ -63,13 +64,14 @@ class Options:
 @dataclass
 class FlatStage:
     """`prims` by path or key; `stage`: fields of `flat::StageInfo`; `settings`: authored
-    `flat::RenderSettings`; `warnings`: (prim, message) of everything dropped or replaced; `purposes`: those
-    rendered."""
+    `flat::RenderSettings`; `warnings`: (prim, message) of everything dropped or replaced; `products`: the
+    files that the settings ask for; `purposes`: those rendered."""
 
     prims: dict[str, Prim] = field(default_factory=dict)
     stage: dict[str, Any] = field(default_factory=dict)
     settings: dict[str, Any] = field(default_factory=dict)
     warnings: list[tuple[str, str]] = field(default_factory=list)
+    products: list[Product] = field(default_factory=list)
     purposes: tuple[str, ...] = ("default",)
 
 
@@ -115,9 +117,10 @@ def flatten(
     flat = FlatStage(stage=stage_info(stage, time, reader), purposes=tuple(sorted({"default", *purposes})))
     if settings:
         flat.settings = flatten_settings(settings, reader)
-    purpose = binding_purpose(settings, reader)
-    walk = Walk(stage, reader, flat.purposes, purpose)
-    flat.prims = Emitter(reader, purpose, options.enable_dome_light_visibility).emit(walk.run())
+        flat.products = flatten_products(settings, reader)
+    binding = binding_purposes(settings, reader)
+    walk = Walk(stage, reader, flat.purposes, binding)
+    flat.prims = Emitter(reader, binding, options.enable_dome_light_visibility).emit(walk.run())
     add_camera(stage, options.camera or flat.settings.get("camera", ""), flat, reader)
     flat.warnings = reader.report.warnings
     return flat
@@ -133,15 +136,15 @@ def flatten_prim(
     reader.primvars = tuple(sorted(primvars_read(prim.GetStage()) | {"st"}))
     settings = find_settings(prim.GetStage(), options.render_settings, reader)
     purposes = included_purposes(settings, reader) if options.purposes is None else options.purposes
-    purpose = binding_purpose(settings, reader)
+    binding = binding_purposes(settings, reader)
     flat = FlatStage(purposes=tuple(sorted({"default", *purposes})))
     if prim.IsA(UsdShade.Material):
         images: dict[str, Prim] = {}
         material = flatten_material(prim, reader, images)
         flat.prims = {str(prim.GetPath()): material, **images}
     else:
-        placements = Walk(prim.GetStage(), reader, flat.purposes, purpose).run(prim)
-        flat.prims = Emitter(reader, purpose, options.enable_dome_light_visibility).emit(placements)
+        placements = Walk(prim.GetStage(), reader, flat.purposes, binding).run(prim)
+        flat.prims = Emitter(reader, binding, options.enable_dome_light_visibility).emit(placements)
     flat.warnings = reader.report.warnings
     return flat
 

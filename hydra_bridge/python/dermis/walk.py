@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from pxr import Gf, Usd, UsdGeom, UsdLux, UsdShade, Vt
 
+from .bindings import bound_materials
 from .instancer import Matrices, nested, place, point_instances
 from .light import LIGHT_TYPES, UNSUPPORTED_LIGHTS
 from .mesh import INHERITED_PRIMVARS, MESH_TYPES
@@ -86,12 +87,12 @@ class Walk:
     """Fills `world` and the frames below it."""
 
     def __init__(
-        self, stage: Usd.Stage, reader: Reader, purposes: Iterable[str], binding_purpose: str
+        self, stage: Usd.Stage, reader: Reader, purposes: Iterable[str], binding_purposes: tuple[str, ...]
     ) -> None:
         self.stage = stage
         self.reader = reader
         self.purposes = {"default", *purposes}
-        self.binding_purpose = binding_purpose
+        self.binding_purposes = binding_purposes
         self.xforms = UsdGeom.XformCache(reader.time)
         self.world = Frame("", 0, INSTANCES)
         self.frames: dict[Any, Frame] = {}
@@ -187,8 +188,8 @@ class Walk:
         prims = [
             p for p in Usd.PrimRange(instance, INSTANCES) if p.IsA(UsdGeom.Imageable) or p.IsA(UsdGeom.Subset)
         ]
-        materials, _ = UsdShade.MaterialBindingAPI.ComputeBoundMaterials(prims, self.binding_purpose)
-        return tuple(canonical_path(m.GetPrim()) if m else "" for m in materials)
+        bound = bound_materials(prims, self.binding_purposes)
+        return tuple(canonical_path(m.GetPrim()) if m else "" for m, _ in bound)
 
     def point_instancer(self, prim: Usd.Prim, frame: Frame, context: Context, matrix: Gf.Matrix4d) -> None:
         indices, matrices = point_instances(prim, self.reader)

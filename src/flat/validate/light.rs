@@ -40,8 +40,11 @@ fn check_shaping(shaping: &mut Shaping, report: &mut Report) {
 /// Defaults in place of NaN are those of UsdLux.
 fn check_shape(light: &mut Light, report: &mut Report) {
     let mut size = |name: &str, value: &mut f32, default: f32| {
+        let authored = *value;
+        // Below 0 there is as little area as at 0; one warning says both.
+        *value = if authored < 0.0 { 0.0 } else { authored };
         report.clamp(name, value, NOT_NEGATIVE, default);
-        if *value > 0.0 { None } else { Some(name.to_owned()) }
+        if *value > 0.0 { None } else { Some(format!("{name} is {authored}")) }
     };
     let empty = match &mut light.shape {
         LightShape::Rect { width, height, .. } => {
@@ -62,7 +65,7 @@ fn check_shape(light: &mut Light, report: &mut Report) {
         LightShape::Mesh { .. } => None,
     };
     if let (Some(name), true) = (empty, light.visible) {
-        report.warn(format!("{name} is 0, so there is no area to emit: the light is off; author a size above 0"));
+        report.warn(format!("{name}, so there is no area to emit: the light is off; author a size above 0"));
         light.visible = false;
     }
 }

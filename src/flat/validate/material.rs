@@ -8,7 +8,7 @@ use crate::{
 use std::ops::RangeInclusive;
 
 /// Henyey-Greenstein is a delta at -1 and 1, and its sampling divides by zero there.
-const ANISOTROPY: RangeInclusive<f32> = -0.999..=0.999;
+const ANISOTROPY: RangeInclusive<f32> = -0.99..=0.99;
 /// No surface has an index outside, and its square is a float: Fresnel stays finite.
 const IOR: RangeInclusive<f32> = 0.01..=100.0;
 

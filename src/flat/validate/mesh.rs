@@ -29,10 +29,14 @@ pub fn validate_mesh(path: &str, mesh: &mut Mesh, warnings: &mut Vec<Warning>) {
     check_tags(mesh, &mut report);
     check_face_lists(mesh, &mut report);
     check_primvars(mesh, &Sizes::of(mesh), &mut report);
-    check_faces(mesh, &mut report);
-    mend_points(mesh, &mut report);
+    let authored = mesh.face_vertex_counts.len();
+    let points_reported = check_faces(mesh, &mut report);
+    mend_points(mesh, points_reported, &mut report);
     if mesh.visible && mesh.face_vertex_counts.is_empty() {
-        report.warn("faceVertexCounts: the mesh has no faces to render; delete or deactivate the prim");
+        // Faces that were all dropped have been reported.
+        if authored == 0 {
+            report.warn("faceVertexCounts: the mesh has no faces to render; delete or deactivate the prim");
+        }
         mesh.visible = false;
     }
 }
@@ -97,8 +101,9 @@ fn keep_in_range(indices: &mut Array<i32>, end: usize) -> Option<usize> {
     Some(before - indices.len())
 }
 
-/// Drops the faces that cannot be shaded, and the indices that belong to no face.
-fn check_faces(mesh: &mut Mesh, report: &mut Report) {
+/// Drops the faces that cannot be shaded, and the indices that belong to no face. Returns whether points were among the
+/// reasons.
+fn check_faces(mesh: &mut Mesh, report: &mut Report) -> bool {
     let faults = Faults::find(mesh);
     let (faces, points) = (mesh.face_vertex_counts.len(), mesh.points.len());
     for fault in Fault::ALL {
@@ -124,10 +129,11 @@ fn check_faces(mesh: &mut Mesh, report: &mut Report) {
     if faults.any() {
         compact(mesh, &faults);
     }
+    faults.count(Fault::Point) > 0
 }
 
 /// Points that no face uses any more must not reach a bounding box either.
-fn mend_points(mesh: &mut Mesh, report: &mut Report) {
+fn mend_points(mesh: &mut Mesh, reported: bool, report: &mut Report) {
     let bad = mesh.points.iter().filter(|point| !is_sane(&point[..])).count();
     if bad == 0 {
         return;
@@ -136,5 +142,7 @@ fn mend_points(mesh: &mut Mesh, report: &mut Report) {
     let stand_in = mesh.points.iter().find(|point| is_sane(&point[..])).copied().unwrap_or_default();
     let mended = mesh.points.iter().map(|point| if is_sane(&point[..]) { *point } else { stand_in });
     mesh.points = mended.collect::<Vec<_>>().into();
-    report.warn(format!("{bad} of {total} points are not finite or beyond {LARGEST:e}; export the mesh again"));
+    if !reported {
+        report.warn(format!("{bad} of {total} points are not finite or beyond {LARGEST:e}; export the mesh again"));
+    }
 }

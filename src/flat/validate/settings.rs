@@ -2,7 +2,7 @@
 
 use crate::{
     error::{Error, Result},
-    flat::{AOVS, GUIDE_AOVS, MAX_NORMALS, RenderSettings, WALKS},
+    flat::{AOVS, EXTRA_AOVS, GUIDE_AOVS, MAX_NORMALS, RenderSettings, WALKS},
     subdivision::MAX_LEVEL,
 };
 
@@ -96,7 +96,7 @@ impl RenderSettings {
         check_token("refractedLight", &self.refracted_light, &["auto", "on", "off"])?;
         check_token("cacheFill", &self.cache_fill, &["surface", "camera"])?;
         check_token("subsurfaceBoundary", &self.subsurface_boundary, &BOUNDARIES)?;
-        let known = [&AOVS[..], &GUIDE_AOVS[..]].concat();
+        let known = [&AOVS[..], &EXTRA_AOVS[..], &GUIDE_AOVS[..]].concat();
         self.aovs.iter().try_for_each(|aov| check_token("aovs", aov, &known))
     }
 }

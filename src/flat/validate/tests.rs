@@ -122,9 +122,8 @@ fn points_that_are_nowhere_take_their_faces() {
         let mut mesh = sample::cube();
         edit(&mut mesh.points, |points| points[7][1] = bad);
         let warnings = check_mesh(&mut mesh);
-        assert_eq!(warnings.len(), 2);
+        assert_eq!(warnings.len(), 1, "one cause, one warning");
         assert!(warnings[0].starts_with("3 of 6 faces dropped: points not finite"), "{warnings:?}");
-        assert!(warnings[1].starts_with("1 of 8 points"), "{warnings:?}");
         assert_eq!(mesh.points[7], mesh.points[0], "bounds do not grow");
         assert_usable(&mesh);
     }
@@ -156,7 +155,7 @@ fn only_faces_without_any_area_go() {
         let mut mesh = triangle(points, indices.clone());
         let warnings = check_mesh(&mut mesh);
         assert_eq!(mesh.face_vertex_counts.len(), faces, "{points:?} {indices:?}");
-        assert_eq!(warnings.len(), if faces == 1 { 0 } else { 2 }, "{warnings:?}");
+        assert_eq!(warnings.len(), if faces == 1 { 0 } else { 1 }, "{warnings:?}");
     }
 }
 
@@ -254,7 +253,7 @@ fn lights_and_cameras() {
     };
     let warnings = messages(|warnings| validate_light("/light", &mut light, warnings));
     let attributes: Vec<_> = warnings.iter().map(|message| message.split(' ').next().unwrap()).collect();
-    let expected = ["intensity", "exposure", "color", "shaping:cone:angle", "width", "width"];
+    let expected = ["intensity", "exposure", "color", "shaping:cone:angle", "width"];
     assert_eq!(attributes, expected.map(|name| format!("inputs:{name}")), "{warnings:?}");
     assert_eq!((light.intensity, light.exposure, light.visible), (0.0, 0.0, false));
     assert_eq!(light.color, [0.5, 0.0, 1e30]);
@@ -293,7 +292,7 @@ fn materials_name_their_own_inputs() {
         check(&mut preview),
         [
             "inputs:subsurfaceRadius is [1.0, -2.0, NaN], [1.0, 0.0, 1.0] is used; author a finite number, not below 0",
-            "inputs:subsurfaceAnisotropy is 1.0, 0.999 is used; author -0.999 to 0.999",
+            "inputs:subsurfaceAnisotropy is 1.0, 0.99 is used; author -0.99 to 0.99",
             "inputs:ior is 0.0, 1.5 is used; author a number above 0",
             "inputs:subsurfaceBoundary is \"glass\", \"diffuse\" is used; \
              author one of diffuse, dielectric, indexMatched",

@@ -2,21 +2,24 @@
 
 import argparse
 import os
+import signal
 import sys
 from collections.abc import Sequence
 
-from . import bench, explain, flatten, peers, record
+from . import bench, explain, flatten, merge, peers, record
+from .interrupt import INTERRUPTED
 from .output import OutputError
 
-COMMANDS = (record, explain, flatten, bench, peers)
-
-INTERRUPTED = 130
+COMMANDS = (record, explain, flatten, merge, bench, peers)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs `dermis ARGUMENTS`; exit codes: 0 done, 1 scene or render error, 2 usage, 130 interrupted."""
     parser, parsers = build_parser()
     args = parser.parse_args(arguments)
+    if args.command in ("bench", "peers"):
+        # They have children to end; see `__main__` for the others.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         return args.run(parsers[args.command], args)
     except KeyboardInterrupt:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from .. import color
-from ..aovs import AOVS, GUIDE_AOVS
+from ..aovs import AOVS, EXTRA_AOVS, GUIDE_AOVS
 from . import progress
 from .settings import COMPLEXITIES
 
@@ -130,7 +130,7 @@ def add_sampling_arguments(parser: argparse.ArgumentParser) -> None:
         "--noiseThreshold",
         type=not_negative,
         metavar="E",
-        help="stop when the estimated relative error is below E",
+        help="share samples out by the noise of pilot samples, for a relative error E of the image, --samples at most",
     )
     group.add_argument("--seed", type=count, metavar="N", help="image = f(seed, sample range)")
     group.add_argument(
@@ -144,6 +144,16 @@ def add_sampling_arguments(parser: argparse.ArgumentParser) -> None:
         metavar=("X0", "Y0", "X1", "Y1"),
         action=_Crop,
         help="region to render, in [0, 1] with (0, 0) at the lower left as USD's dataWindowNDC",
+    )
+    group.add_argument(
+        "--tileCount",
+        type=positive,
+        nargs=2,
+        metavar=("X", "Y"),
+        help="render one of X x Y tiles (--tileIndex)",
+    )
+    group.add_argument(
+        "--tileIndex", type=count, metavar="N", help="which tile, row by row from the top left"
     )
     group.add_argument("--maxDepth", type=count, metavar="N", help="surface bounces")
     group.add_argument(
@@ -172,10 +182,10 @@ def add_sampling_arguments(parser: argparse.ArgumentParser) -> None:
         "--aov",
         dest="aovs",
         action="append",
-        choices=(*AOVS, *GUIDE_AOVS),
+        choices=(*AOVS, *EXTRA_AOVS, *GUIDE_AOVS),
         metavar="NAME",
-        help=f"AOV to write (repeatable): {', '.join(AOVS)} (default: the stage's RenderVars, else all of these); for "
-        f"looking at guided walks: {', '.join(GUIDE_AOVS)}",
+        help=f"AOV to write (repeatable): {', '.join(AOVS)} (default: the stage's RenderVars, else all of these); only "
+        f"where asked for: {', '.join(EXTRA_AOVS)}; for looking at guided walks: {', '.join(GUIDE_AOVS)}",
     )
     group.add_argument(
         "--set",
@@ -220,6 +230,43 @@ def add_output_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--memstats", action="store_true", help="account USD's memory by Pxr MallocTags")
 
 
+def add_batch_arguments(parser: argparse.ArgumentParser) -> None:
+    """Runs that are long, many, or end before they are done."""
+    group = parser.add_argument_group("batch")
+    group.add_argument(
+        "--skipExisting", action="store_true", help="skip frames whose files are there, each complete"
+    )
+    group.add_argument(
+        "--checkpoint",
+        type=_seconds,
+        metavar="S",
+        help="keep the state of the render beside each image, every S seconds, until the image is written",
+    )
+    group.add_argument(
+        "--resume",
+        action="store_true",
+        help="go on from checkpoints that are there, to the image of an uninterrupted render; writes them every 300 s "
+        "unless --checkpoint says otherwise",
+    )
+    group.add_argument(
+        "--snapshot",
+        type=_seconds,
+        metavar="S",
+        help="write the image so far as NAME_snapshot every S seconds (and at SIGUSR1) until it is done",
+    )
+
+
+def check_tile(parser: argparse.ArgumentParser, args: argparse.Namespace) -> None:
+    """Both flags or none, and a tile that there is."""
+    if (args.tileCount is None) != (args.tileIndex is None):
+        parser.error("--tileCount and --tileIndex go together")
+    if args.tileCount and args.tileIndex >= args.tileCount[0] * args.tileCount[1]:
+        last = args.tileCount[0] * args.tileCount[1] - 1
+        parser.error(
+            f"--tileIndex {args.tileIndex}: the last of {args.tileCount[0]} x {args.tileCount[1]} is {last}"
+        )
+
+
 def image_path(text: str) -> str:
     """A file name whose ending says which kind of image it is."""
     return _with_extension(text, IMAGE_EXTENSIONS)
@@ -256,6 +303,13 @@ def not_negative(text: str) -> float:
     if value == float("inf"):
         raise argparse.ArgumentTypeError(f"{text} is not finite")
     return _bounded(value, text, 0)
+
+
+def _seconds(text: str) -> float:
+    value = not_negative(text)
+    if value == 0.0:
+        raise argparse.ArgumentTypeError("0 seconds: give more")
+    return value
 
 
 def _share(text: str) -> float:

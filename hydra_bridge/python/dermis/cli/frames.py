@@ -1,8 +1,9 @@
 """Which time codes to record and how their files are called: usdrecord's rules and messages."""
 
 import argparse
+import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from pxr import Tf, Usd, UsdUtils
 
@@ -28,12 +29,48 @@ def frame_path(path: str, time: float) -> str:
     return path.replace(mark, f"{time:0{len(mark)}.{precision(mark)}f}")
 
 
-def parse_frame_specs(specs: str) -> tuple[list[float], int]:
+class Frames(Sequence[Usd.TimeCode]):
+    """The time codes of FrameSpecs, in order; made one by one, however many they are."""
+
+    def __init__(self, ranges: list[UsdUtils.TimeCodeRange]) -> None:
+        self.ranges = ranges
+        self._counts = [frame_count(codes) for codes in ranges]
+
+    def __len__(self) -> int:
+        return sum(self._counts)
+
+    def __iter__(self) -> Iterator[Usd.TimeCode]:
+        for codes, count in zip(self.ranges, self._counts, strict=True):
+            for i in range(count):
+                yield time_code(codes, i)
+
+    def __getitem__(self, index: int) -> Usd.TimeCode:
+        index += len(self) if index < 0 else 0
+        for codes, count in zip(self.ranges, self._counts, strict=True):
+            if 0 <= index < count:
+                return time_code(codes, index)
+            index -= count
+        raise IndexError(index)
+
+
+def frame_count(codes: UsdUtils.TimeCodeRange) -> int:
+    """As UsdUtils counts: with a tolerance, for strides that are no binary fractions."""
+    start, end = codes.startTimeCode.GetValue(), codes.endTimeCode.GetValue()
+    if codes.stride == 0.0:
+        return 1
+    return math.floor((end - start) / codes.stride + 1e-6) + 1
+
+
+def time_code(codes: UsdUtils.TimeCodeRange, index: int) -> Usd.TimeCode:
+    return Usd.TimeCode(codes.startTimeCode.GetValue() + index * codes.stride)
+
+
+def parse_frame_specs(specs: str) -> tuple[Frames, int]:
     """Time codes of comma-separated FrameSpecs (`1`, `1:5`, `5:1`, `1:5x0.5`) and the decimals they need.
 
     Raises ValueError naming the FrameSpec.
     """
-    times: list[float] = []
+    ranges: list[UsdUtils.TimeCodeRange] = []
     decimals = 0
     for spec in specs.split(","):
         try:
@@ -42,14 +79,14 @@ def parse_frame_specs(specs: str) -> tuple[list[float], int]:
             raise ValueError(f'Invalid FrameSpec: "{spec}"') from error
         if not codes.IsValid():
             raise ValueError(f'Invalid FrameSpec: "{spec}"')
-        times.extend(code.GetValue() for code in codes)
+        ranges.append(codes)
         decimals = max(decimals, precision(spec.partition("x")[2]))
-    return times, decimals
+    return Frames(ranges), decimals
 
 
 def resolve_times(
     parser: argparse.ArgumentParser, args: argparse.Namespace, stage: Usd.Stage, paths: Sequence[str]
-) -> list[Usd.TimeCode]:
+) -> Sequence[Usd.TimeCode]:
     """The time codes to record; leaves with a usage error if the file arguments `paths` do not suit them."""
     if not args.frames:
         for name in paths:
@@ -61,7 +98,7 @@ def resolve_times(
         parser.error(str(error))
     for name in paths:
         _require_placeholder(parser, name, getattr(args, name), decimals)
-    return [Usd.TimeCode(time) for time in times]
+    return times
 
 
 def _refuse_placeholder(parser: argparse.ArgumentParser, name: str, path: str | None) -> None:

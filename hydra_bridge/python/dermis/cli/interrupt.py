@@ -9,17 +9,23 @@ from typing import Any
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
+INTERRUPTED = 130
+
+
 class Interrupt:
     """While `deferred`, a first SIGINT or SIGTERM only sets `requested`; a second one, or one at any
-    other time, raises KeyboardInterrupt."""
+    other time, raises KeyboardInterrupt. SIGUSR1 sets `snapshot`."""
 
     def __init__(self) -> None:
         self.requested = False
+        self.snapshot = False
         self._deferring = False
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> "Interrupt":
         self._before = {number: signal.signal(number, self._handle) for number in SIGNALS}
+        if hasattr(signal, "SIGUSR1"):
+            self._before[signal.SIGUSR1] = signal.signal(signal.SIGUSR1, self._ask_for_snapshot)
         return self
 
     def __exit__(
@@ -35,6 +41,9 @@ class Interrupt:
             yield
         finally:
             self._deferring = False
+
+    def _ask_for_snapshot(self, number: int, frame: FrameType | None) -> None:
+        self.snapshot = True
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
         if self._deferring and not self.requested:

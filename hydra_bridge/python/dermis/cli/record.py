@@ -8,16 +8,18 @@ from pathlib import Path
 from typing import Any
 
 from .. import color
-from . import diagnostics, output, warnings
+from . import diagnostics, files, output, warnings
 from .arguments import (
+    add_batch_arguments,
     add_output_arguments,
     add_sampling_arguments,
     add_stage_arguments,
     add_view_arguments,
+    check_tile,
     image_path,
 )
 from .frames import frame_path
-from .interrupt import Interrupt
+from .interrupt import INTERRUPTED, Interrupt
 from .progress import Progress, default_kind
 from .settings import SettingsError, default_settings
 
@@ -34,19 +36,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "outputImagePath",
         metavar="OUTPUT",
+        nargs="?",
         type=image_path,
         help="Output image path: .exr (scene-linear, all AOVs), .png or .jpg. For frame ranges, the path must contain "
         'exactly one frame number placeholder of the form "###" or "###.###". Note that the number of hash marks is '
-        "variable in each group. A missing folder is made.",
+        "variable in each group. A missing folder is made. It takes the place of the first RenderProduct's "
+        "productName, and may be left out where the stage has one.",
     )
     add_view_arguments(parser)
     add_sampling_arguments(parser)
+    add_batch_arguments(parser)
     add_output_arguments(parser)
 
 
 def run(parser: argparse.ArgumentParser, args: argparse.Namespace) -> int:
     """Exit code: 0 done, 1 a frame failed, 130 interrupted; usage errors leave through `parser`."""
     refuse_one_file_twice(parser, args)
+    check_tile(parser, args)
     transform = display_transform(parser, args)
     with diagnostics.recording(args):
         return Recorder(parser, args, transform).record()
@@ -67,7 +73,7 @@ def display_transform(parser: argparse.ArgumentParser, args: argparse.Namespace)
         parser.error(
             f"--colorCorrectionMode {mode} does not go with --ocioConfig, --ocioDisplay, --ocioView, --ocioLook"
         )
-    shown = args.displayImage or Path(args.outputImagePath).suffix.lower() in color.EXTENSIONS
+    shown = args.displayImage or Path(args.outputImagePath or "").suffix.lower() in (*color.EXTENSIONS, "")
     if not shown and not any(ocio_flags):
         return color.DisplayTransform("disabled")
     try:
@@ -86,14 +92,18 @@ class Recorder:
 
         self.began = time.monotonic()
         self.args = args
-        self.transform = transform
+        self.writer = files.Writer(transform)
         self.printer = warnings.Printer()
         paths = ("outputImagePath", "displayImage", "stats")
         try:
             self.scene = open_scene(parser, args, default_settings(), paths)
         except SettingsError as error:
             parser.error(str(error))
+        if not self.outputs(self.scene.times[0]):
+            parser.error("the following arguments are required: OUTPUT (the stage has no RenderProduct)")
         self.said: list[str] = []
+        #: File of each product in the frame before, by product.
+        self.made: dict[str, str] = {}
 
     def record(self) -> int:
         from .scene import FRAME_ERRORS
@@ -110,56 +120,116 @@ class Recorder:
                     failed = True
                     print(_failure(when, error), file=sys.stderr)
                 if interrupt.requested:
-                    return 130
+                    return INTERRUPTED
         return 1 if failed else 0
 
     def frame(self, number: int, when: Any, progress: Progress, interrupt: Interrupt) -> None:
         began = self.began if number == 0 else time.monotonic()
-        for path in (self.args.outputImagePath, self.args.displayImage, self.args.stats):
-            if path:
-                output.prepare_folder(self.named(path, when))
-        loaded = self.scene.load(when)
-        self.say(f"Camera: {loaded.camera}", "Renderer plugin: dermis", *loaded.log)
+        outputs = self.outputs(when)
+        if self.args.skipExisting and self.is_there(outputs, when):
+            print(f"Skipping{_at(when)}: {outputs[0].file} is there", flush=True)
+            progress.update(number, 1.0)
+            return
+        self.refuse_same_file(outputs)
+        for file in self.files(outputs, when):
+            output.prepare_folder(file)
+        loaded = self.scene.load(when, outputs)
+        self.say(
+            f"Camera: {loaded.camera}", "Renderer plugin: dermis", *loaded.log, *_replaced(outputs, self.args)
+        )
         if when is not None:
             print(f"Recording time code: {when.GetValue():f}", flush=True)
         self.printer.print(loaded.warnings)
-        loaded.delegate.commit()
-        self.say(*refinement_lines(json.loads(loaded.delegate.explain())["subdivision"]))
-        with interrupt.deferred():
-            render(loaded.delegate, lambda fraction: progress.update(number, fraction), interrupt)
-            stats = self.finish(loaded, began)
-            self.write(loaded, when, stats)
+        for i, view in enumerate(loaded.views):
+            if i > 0:
+                loaded.delegate.set_settings(json.dumps(view.settings))
+                loaded.camera = view.camera
+            loaded.delegate.commit()
+            self.say(*refinement_lines(json.loads(loaded.delegate.explain())["subdivision"]))
+            shown = (number * len(loaded.views) + i) / len(loaded.views)
+            with interrupt.deferred():
+                self.view(
+                    loaded,
+                    view,
+                    i,
+                    when,
+                    began,
+                    lambda f, at=shown: progress.update(0, at + f / len(loaded.views)),
+                    interrupt,
+                )
+            if interrupt.requested:
+                return
 
-    def finish(self, loaded: Any, began: float) -> dict[str, Any]:
+    def view(
+        self, loaded: Any, view: Any, number: int, when: Any, began: float, report: Any, interrupt: Interrupt
+    ) -> None:
+        """Renders one view and writes its files; those for eyes and the statistics are of the first."""
+        keep = self.checkpoint(view)
+        first = number == 0
+
+        def snapshot() -> None:
+            stats = {"complete": False}
+            for made in view.outputs:
+                self.writer.write(
+                    loaded.delegate, made, files.snapshot_name(made.file), exr_attributes(stats, when)
+                )
+
+        complete = render(loaded.delegate, report, interrupt, keep, self.args, snapshot, self.say)
+        stats = self.finish(loaded, began, complete)
+        attributes = exr_attributes(stats, when)
+        for made in view.outputs:
+            self.writer.write(loaded.delegate, made, made.file, attributes)
+        if self.args.displayImage and first:
+            self.writer.write_display(loaded.delegate, self.named(self.args.displayImage, when), complete)
+        if self.args.stats and first:
+            output.write_json(self.named(self.args.stats, when), stats)
+        for made in view.outputs:
+            Path(files.snapshot_name(made.file)).unlink(missing_ok=True)
+        if complete and keep:
+            Path(keep).unlink(missing_ok=True)
+
+    def outputs(self, when: Any) -> list[Any]:
+        file = self.args.outputImagePath
+        return self.scene.outputs(when, self.named(file, when) if file else None)
+
+    def files(self, outputs: list[Any], when: Any) -> list[str]:
+        """Everything that a frame writes."""
+        others = (self.args.displayImage, self.args.stats)
+        return [*(made.file for made in outputs), *(self.named(path, when) for path in others if path)]
+
+    def is_there(self, outputs: list[Any], when: Any) -> bool:
+        return all(files.is_complete(Path(file)) for file in self.files(outputs, when))
+
+    def refuse_same_file(self, outputs: list[Any]) -> None:
+        """A productName without time samples or placeholder would write every frame over the one before."""
+        for made in outputs:
+            if made.product and self.made.get(made.product) == made.file:
+                message = f"{made.product}: productName: {made.file} is that of the frame before, too; "
+                raise output.OutputError(message + "give it time samples, or a placeholder ####")
+            self.made[made.product] = made.file
+
+    def checkpoint(self, view: Any) -> str:
+        """Name of the view's checkpoint; empty: none is asked for."""
+        wanted = self.args.checkpoint or self.args.resume
+        return f"{view.outputs[0].file}.checkpoint" if wanted and view.outputs else ""
+
+    def finish(self, loaded: Any, began: float, complete: bool) -> dict[str, Any]:
         """The statistics of a frame, after the self-check of its image."""
         stats = json.loads(loaded.delegate.stats())
         checks = warnings.self_check(loaded.delegate.snapshot()["color"], stats)
         merged = warnings.merge(loaded.warnings, warnings.of_stats(stats), checks)
         self.printer.print(merged)
+        self.say(*_adaptive(stats))
         stats["warnings"] = [{"prim": prim, "message": message} for prim, message in merged]
         stats.setdefault("settings", json.loads(loaded.delegate.settings()))
         stats["stage"], stats["camera"] = self.args.usdFilePath, loaded.camera
+        stats["complete"] = complete
         stats.setdefault("seconds", {})["flatten"] = loaded.seconds
         stats["seconds"]["total"] = time.monotonic() - began
         return stats
 
-    def write(self, loaded: Any, when: Any, stats: dict[str, Any]) -> None:
-        image = self.named(self.args.outputImagePath, when)
-        if Path(image).suffix.lower() == ".exr":
-            loaded.delegate.write_exr(image, json.dumps(exr_attributes(stats, when)))
-        else:
-            self.write_display(loaded, image)
-        if self.args.displayImage:
-            self.write_display(loaded, self.named(self.args.displayImage, when))
-        if self.args.stats:
-            output.write_json(self.named(self.args.stats, when), stats)
-
     def named(self, path: str, when: Any) -> str:
         return frame_path(path, when.GetValue()) if self.args.frames else path
-
-    def write_display(self, loaded: Any, file: str) -> None:
-        with output.replacing(file) as temporary:
-            color.write_display_image(temporary, loaded.delegate.snapshot()["color"], self.transform)
 
     def say(self, *lines: str) -> None:
         """Prints what usdrecord says once per run; again only when it changes."""
@@ -181,15 +251,60 @@ def refinement_lines(surfaces: list[dict[str, Any]]) -> list[str]:
     return lines
 
 
-def render(delegate: Any, report: Any, interrupt: Interrupt) -> None:
-    """Renders to the end, or to the first interrupt. Raises CoreError if the render failed."""
-    delegate.start()
+#: Seconds between checkpoints where only `--resume` is typed.
+CHECKPOINT_SECONDS = 300.0
+
+
+def render(
+    delegate: Any,
+    report: Any,
+    interrupt: Interrupt,
+    keep: str,
+    args: argparse.Namespace,
+    snapshot: Any,
+    say: Any,
+) -> bool:
+    """Renders to the end, or to the first interrupt: False. Raises CoreError if the render failed."""
+    if keep:
+        resumed = delegate.start(keep, args.checkpoint or CHECKPOINT_SECONDS, args.resume)
+        if resumed:
+            say(f"Resuming from {keep}")
+    else:
+        delegate.start()
+    last = time.monotonic()
     while not delegate.wait(POLL):
         if interrupt.requested:
             delegate.stop()
-            break
+            report(delegate.poll()[0])
+            return False
+        if interrupt.snapshot or (args.snapshot and time.monotonic() - last >= args.snapshot):
+            snapshot()
+            interrupt.snapshot, last = False, time.monotonic()
         report(delegate.poll()[0])
     report(delegate.poll()[0])
+    return True
+
+
+def _replaced(outputs: list[Any], args: argparse.Namespace) -> list[str]:
+    """What OUTPUT does to the first product."""
+    if not args.outputImagePath or not outputs or not outputs[0].product or not outputs[0].product_name:
+        return []
+    first = outputs[0]
+    return [
+        f"OUTPUT overrides productName of <{first.product}>: {first.file} instead of {first.product_name}"
+    ]
+
+
+def _adaptive(stats: dict[str, Any]) -> list[str]:
+    """What a noise threshold did."""
+    found = stats.get("adaptive")
+    if not found:
+        return []
+    least, most, mean = found["leastSamples"], found["mostSamples"], found["meanSamples"]
+    line = f"noiseThreshold: {found['pilotSamples']} pilot samples, then {least} to {most} per pixel (mean {mean:.1f})"
+    line += f" for an expected error of {found['predictedError']:.3g}"
+    missed = f"; {found['tilesAtLimit']} of {found['tiles']} tiles need more" if found["tilesAtLimit"] else ""
+    return [line + missed]
 
 
 def exr_attributes(stats: dict[str, Any], when: Any) -> dict[str, str]:
@@ -206,6 +321,10 @@ def _flattened(value: Any, name: str = "") -> list[tuple[str, str]]:
             pair for key, item in value.items() for pair in _flattened(item, f"{name}.{key}" if name else key)
         ]
     return [(name, value if isinstance(value, str) else json.dumps(value))]
+
+
+def _at(when: Any) -> str:
+    return "" if when is None else f" time code {when.GetValue():f}"
 
 
 def _failure(when: Any, error: Exception) -> str:

@@ -10,12 +10,15 @@ from typing import Any
 from pxr import Sdf, Usd, UsdGeom, UsdRender
 
 from dermis import camera as cameras
-from dermis import hydra, stage
+from dermis import hydra, passes, products, stage
 from dermis._core import CoreError, Delegate
 from dermis.image import AUTO_CAMERA
+from dermis.reading import Reader, Report
+from dermis.settings import base_settings, dermis_settings
 
 from . import view
-from .frames import resolve_times
+from .frames import Frames, resolve_times
+from .outputs import Output, View, grouped, planned, shared_aovs
 from .settings import Settings, SettingsError, overrides, typed_settings
 
 #: Flags that a flattened file has already answered.
@@ -50,6 +53,8 @@ class Loaded:
     warnings: Warnings = field(default_factory=list)
     #: Lines for the log.
     log: list[str] = field(default_factory=list)
+    #: What is rendered, one after the other; the delegate has the settings of the first.
+    views: list[View] = field(default_factory=list)
 
 
 class FlatFile:
@@ -61,9 +66,13 @@ class FlatFile:
                 parser.error(f"{flag} applies to a USD stage; {args.usdFilePath} is already flattened")
         self.args = args
         self.typed = typed
-        self.times: list[Usd.TimeCode | None] = [None]
+        self.times: Frames | list[None] = [None]
 
-    def load(self, when: Usd.TimeCode | None) -> Loaded:
+    def outputs(self, when: None, file: str | None) -> list[Output]:
+        """The files of the only time there is."""
+        return planned(file, [])
+
+    def load(self, when: None, outputs: list[Output] | None = None) -> Loaded:
         began = time.monotonic()
         delegate = Delegate.load(self.args.usdFilePath)
         stored = json.loads(delegate.settings())
@@ -73,7 +82,10 @@ class FlatFile:
         kept = stored if self.args.imageWidth is None else {}
         size = view.image_size(self.args, self.typed, kept, width / height)
         shown = "" if loaded.camera == AUTO_CAMERA else loaded.camera
-        delegate.set_settings(json.dumps({**self.typed, "camera": loaded.camera, "resolution": size}))
+        settings = {**stored, **self.typed, "camera": loaded.camera, "resolution": size}
+        settings["dataWindowNDC"] = view.tile_window(self.args, settings["dataWindowNDC"])
+        delegate.set_settings(json.dumps(settings))
+        loaded.views = [View(settings, outputs or [])]
         loaded.camera, loaded.seconds = shown, time.monotonic() - began
         return loaded
 
@@ -98,11 +110,13 @@ class Stage:
         parser: argparse.ArgumentParser,
         args: argparse.Namespace,
         typed: Settings,
+        defaults: Settings,
         paths: tuple[str, ...],
     ) -> None:
         began = time.monotonic()
         self.args = args
         self.typed = typed
+        self.defaults = defaults
         mask = (args.populationMask or "").replace(",", " ").split() or None
         self.stage = stage.open_stage(args.usdFilePath, args.sessionLayerPath, mask)
         self.times = resolve_times(parser, args, self.stage, paths)
@@ -112,15 +126,34 @@ class Stage:
         self._opening = time.monotonic() - began
         self._delegate: Delegate | None = None
         self._previous: Any = None
+        #: What the last `load` sent, by path.
+        self.synced: dict[str, hydra.DirtyBits] = {}
 
-    def load(self, when: Usd.TimeCode) -> Loaded:
+    def outputs(self, when: Usd.TimeCode, file: str | None) -> list[Output]:
+        """The files of a time: `file`, which takes the place of the first product, and those of the other products.
+
+        Raises OutputError for products that cannot be told apart.
+        """
+        prim = self._settings_prim()
+        found = products.flatten_products(prim, Reader(when, Report())) if prim else []
+        return planned(file, found, bool(self.args.frames), when, typed_aovs="aovs" in self.typed)
+
+    def load(self, when: Usd.TimeCode, outputs: list[Output] | None = None) -> Loaded:
         began = time.monotonic()
         delegate, previous = self._delegate or Delegate(), self._previous
         self._delegate = self._previous = None  # not kept if this frame fails half-way
         flat = stage.flatten(self.stage, when, self._options())
         loaded = Loaded(delegate, "", 0.0, warnings=[*self.warnings])
-        self._settle_view(flat, when, loaded)
-        hydra.populate(delegate, flat, previous)
+        authored = {**flat.settings}
+        loaded.views = [
+            self._settle_view(flat, when, loaded, authored, group) for group in grouped(outputs or [])
+        ]
+        flat.settings = dict(loaded.views[0].settings)
+        if self.args.rpPrimPath:
+            passes.hide_excluded(self.stage.GetPrimAtPath(self.args.rpPrimPath), flat.prims)
+        self._light(flat, flat.settings["camera"], loaded)
+        self.synced = hydra.populate(delegate, flat, previous)
+        loaded.camera = loaded.views[0].camera
         loaded.warnings.extend(flat.warnings)
         loaded.seconds = self._opening + time.monotonic() - began
         self._opening = 0.0
@@ -148,24 +181,40 @@ class Stage:
         prim = self.stage.GetPrimAtPath(path) if Sdf.Path.IsValidPathString(path) else None
         return prim if prim and prim.IsA(UsdRender.Settings) else None
 
-    def _settle_view(self, flat: Any, when: Usd.TimeCode, loaded: Loaded) -> None:
-        """Completes the flattened stage with camera, size, typed settings and, where needed, a light."""
-        authored = dict(flat.settings)
-        loaded.log = overrides(self.typed, authored, f"<{self.settings_path}>")
+    def _settle_view(
+        self, flat: Any, when: Usd.TimeCode, loaded: Loaded, authored: Settings, outputs: list[Output]
+    ) -> View:
+        """Settings of the view that `outputs` share, with its camera, which joins the flattened stage, and size."""
+        first = outputs[0] if outputs else None
+        source = f"<{(first and first.product) or self.settings_path}>"
+        if first and first.product:
+            vars_of_first = {"aovs": authored["aovs"]} if "aovs" in self.typed and "aovs" in authored else {}
+            authored = {**self._shared_settings(authored, when), **first.settings, **vars_of_first}
+        if any(prim == authored.get("camera") and said.startswith("camera:") for prim, said in flat.warnings):
+            del authored["camera"]
+        loaded.log += overrides(self.typed, authored, source)
         camera = self._find_camera(authored.get("camera", ""), loaded)
-        if camera:
-            path = loaded.camera = str(camera.GetPath())
-            if path not in flat.prims:
-                flat.prims[path] = cameras.camera_fields(camera, when)
-        else:
-            path = AUTO_CAMERA
+        path = str(camera.GetPath()) if camera else AUTO_CAMERA
+        shown = path if camera else ""
+        if camera and path not in flat.prims:
+            flat.prims[path] = cameras.camera_fields(camera, when)
+        elif not camera:
             aspect = view.framing_aspect(self.args, self.typed, authored)
             flat.prims[path] = cameras.auto_camera(self.stage, when, flat.purposes, aspect)
         size = view.image_size(self.args, self.typed, authored, view.aspect_ratio(flat.prims[path]))
         if "resolution" in authored and size != authored["resolution"]:
-            loaded.log += overrides({"resolution": size}, authored, f"<{self.settings_path}>")
-        flat.settings.update({**self.typed, "camera": path, "resolution": size})
-        self._light(flat, path, loaded)
+            loaded.log += overrides({"resolution": size}, authored, source)
+        aovs = {} if "aovs" in self.typed else shared_aovs(outputs)
+        settings = {**self.defaults, **authored, **aovs, **self.typed, "camera": path, "resolution": size}
+        settings["dataWindowNDC"] = view.tile_window(self.args, settings["dataWindowNDC"])
+        return View(settings, outputs, shown)
+
+    def _shared_settings(self, authored: Settings, when: Usd.TimeCode) -> Settings:
+        """What the RenderSettings prim says for all products: `authored` is that with the first product over it."""
+        prim = self._settings_prim()
+        reader = Reader(when, Report())
+        shared = {**base_settings(prim, reader), **dermis_settings(prim, reader)} if prim else authored
+        return shared
 
     def _find_camera(self, authored: str, loaded: Loaded) -> UsdGeom.Camera | None:
         """Typed, else of the settings prim, else `main_cam`; None when there is none of them."""
@@ -205,8 +254,9 @@ class Stage:
 
     def _pass_settings(self, path: str) -> str:
         prim = self.stage.GetPrimAtPath(path) if Sdf.Path.IsValidPathString(path) else Usd.Prim()
-        if not prim or not prim.IsA(UsdRender.Pass):
+        if not passes.is_pass(prim):
             raise SceneError(f"Unknown render pass <{path}>")
+        self.warnings.extend(passes.pass_warnings(prim))
         targets = UsdRender.Pass(prim).GetRenderSourceRel().GetTargets()
         if not targets:
             raise SceneError(f"Render source not authored on {path}")
@@ -227,7 +277,7 @@ def open_scene(
     if Path(args.usdFilePath).suffix.lower() == ".dermis":
         return FlatFile(parser, args, typed)
     try:
-        return Stage(parser, args, typed, paths)
+        return Stage(parser, args, typed, defaults, paths)
     except stage.StageError as error:
         raise SceneError(str(error)) from error
 

@@ -2,7 +2,7 @@
 
 import argparse
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -59,6 +59,24 @@ def framing_aspect(args: argparse.Namespace, typed: Settings, authored: Mapping[
         return None
     width, height = image_size(args, typed, authored, 1.0)
     return width / height
+
+
+def tile_window(args: argparse.Namespace, window: Sequence[float]) -> list[float]:
+    """The part of a data window that `--tileCount` and `--tileIndex` ask for; rows from the top, as husk counts.
+
+    Neighbours share an edge to the last bit, so that each pixel is in one of them.
+    """
+    if not getattr(args, "tileCount", None):
+        return list(window)
+    (x0, y0, x1, y1), (across, down) = window, args.tileCount
+    column, row = args.tileIndex % across, args.tileIndex // across
+
+    def edge(a: float, b: float, i: int, n: int) -> float:
+        return a if i == 0 else b if i == n else a + (b - a) * i / n
+
+    left, right = (edge(x0, x1, i, across) for i in (column, column + 1))
+    bottom, top = (edge(y0, y1, down - i, down) for i in (row + 1, row))
+    return [left, bottom, right, top]
 
 
 def camera_light(camera: Mapping[str, Any]) -> dict[str, Any]:

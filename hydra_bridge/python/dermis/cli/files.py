@@ -1,0 +1,68 @@
+"""Images of a render as files: which are complete, what a snapshot is called, how each kind is written."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from dermis import color
+
+from . import output
+
+#: Comment of a PNG or JPEG that an interrupt ended; EXRs have the attribute `dermis.complete`.
+INCOMPLETE = "dermis: incomplete"
+
+
+class Writer:
+    """Writes what a delegate has rendered; `transform` makes pictures for eyes."""
+
+    def __init__(self, transform: color.DisplayTransform) -> None:
+        self.transform = transform
+
+    def write(self, delegate: Any, made: Any, file: str, attributes: dict[str, str]) -> None:
+        """The layers of an output as `file`, by its ending."""
+        if Path(file).suffix.lower() == ".exr":
+            layers = None if made.layers is None else json.dumps(made.layers)
+            delegate.write_exr(file, json.dumps(attributes), layers)
+        else:
+            self.write_display(delegate, file, attributes.get("dermis.complete") != "false")
+
+    def write_display(self, delegate: Any, file: str, complete: bool) -> None:
+        pixels = delegate.snapshot()["color"]
+        with output.replacing(file) as temporary:
+            color.write_display_image(temporary, pixels, self.transform, "" if complete else INCOMPLETE)
+
+
+def snapshot_name(file: str) -> str:
+    """`shot.0001.exr` -> `shot.0001_snapshot.exr`."""
+    path = Path(file)
+    return str(path.with_name(f"{path.stem}_snapshot{path.suffix}"))
+
+
+def is_complete(file: Path) -> bool:
+    """Whether a file is there, whole, and not what an interrupt left."""
+    if not file.is_file() or file.stat().st_size == 0:
+        return False
+    if file.suffix.lower() == ".exr":
+        return _exr_is_complete(file)
+    if file.suffix.lower() in color.EXTENSIONS:
+        try:
+            return color.image_comment(file) != INCOMPLETE
+        except OSError:
+            return False
+    try:
+        # Statistics of a frame.
+        return json.loads(file.read_text(encoding="utf-8")).get("complete", True)
+    except (ValueError, AttributeError):
+        return False
+
+
+def _exr_is_complete(file: Path) -> bool:
+    import OpenImageIO as oiio
+
+    image = oiio.ImageInput.open(str(file))
+    if image is None:
+        oiio.geterror()  # else it complains when the process ends
+        return False
+    complete = image.spec().getattribute("dermis.complete") != "false"
+    image.close()
+    return complete

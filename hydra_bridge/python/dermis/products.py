@@ -1,0 +1,143 @@
+"""RenderProducts and RenderVars: which files a render makes, and which AOVs are their layers."""
+
+import re
+from dataclasses import dataclass, field
+from typing import Any
+
+from pxr import Usd, UsdRender
+
+from .aovs import AOVS, EXTRA_AOVS, GUIDE_AOVS
+from .reading import Reader
+
+BEAUTY = "color"
+
+RAW_SOURCES = {
+    "Ci": BEAUTY,
+    "C": BEAUTY,
+    "color": BEAUTY,
+    "rgba": BEAUTY,
+    "a": "alpha",
+    "z": "depth",
+    "cameraDepth": "depth",
+    "linearDepth": "depth",
+    "N": "normal",
+    "P": "position",
+} | {aov: aov for aov in (*AOVS, *EXTRA_AOVS, *GUIDE_AOVS)}
+"""`sourceName` of sourceType `raw` and `intrinsic` -> AOV; the names of Hydra, RenderMan and dermis."""
+
+LPES = {
+    BEAUTY: ("C.*[LO]", "C.*", "C.*[<L.>O]", "C.*[O<L.>]", "C.*<L.>", "C.*L"),
+    "direct": ("C.?[LO]", "C.?[<L.>O]", "C.{0,1}[LO]"),
+    "subsurface": ("C<T'subsurface'>.*[LO]", "C<T'subsurface'>.*[<L.>O]", "C<TD>.*[LO]", "C<TD>.*[<L.>O]"),
+}
+"""Light path expressions that the renderer keeps apart, without blanks and quotes of one kind."""
+
+NOT_KEPT = {
+    "motion": "nothing moves within a frame in this version",
+    "motionvector": "nothing moves within a frame in this version",
+    "velocity": "nothing moves within a frame in this version",
+    "instanceId": "instances of one prim share its primId",
+    "elementId": "faces are not told apart",
+}
+"""Sources that other renderers have, and why they are missing here."""
+
+HALF = re.compile(r"^half|[34]h$")
+
+
+@dataclass
+class Product:
+    """A RenderProduct: `settings` as far as it authors them, `layers` as the core's `write_exr` takes them; None: all
+    AOVs of the render."""
+
+    path: str
+    name: str
+    settings: dict[str, Any] = field(default_factory=dict)
+    layers: list[dict[str, Any]] | None = None
+
+
+def related_products(settings: Usd.Prim) -> list[Usd.Prim]:
+    return [prim for prim in related(settings, "products") if prim.IsA(UsdRender.Product)]
+
+
+def flatten_products(settings: Usd.Prim, reader: Reader) -> list[Product]:
+    """The products of a RenderSettings prim that can be made; of the others a warning."""
+    from .settings import base_settings
+
+    products = []
+    for prim in related_products(settings):
+        kind = reader.value(prim, "productType", "raster")
+        if kind != "raster":
+            reader.warn(prim, f"productType: '{kind}' is not supported; the product is not made")
+            continue
+        name = reader.value(prim, "productName", "")
+        product = Product(str(prim.GetPath()), name, base_settings(prim, reader))
+        if prim.GetRelationship("orderedVars").GetForwardedTargets():
+            product.layers = product_layers(prim, reader)
+        products.append(product)
+    return products
+
+
+def product_layers(product: Usd.Prim, reader: Reader) -> list[dict[str, Any]]:
+    """A layer per RenderVar that has a source here; the first beauty takes the place without a prefix."""
+    layers: list[dict[str, Any]] = []
+    for var in related(product, "orderedVars"):
+        aov = source_aov(var, reader)
+        if aov is None:
+            continue
+        taken = {layer["name"] for layer in layers}
+        name = "" if aov == BEAUTY and "" not in taken else var.GetName()
+        if name in taken:
+            reader.warn(var, f"orderedVars: a var named '{name}' is there already; this one is not written")
+            continue
+        half = bool(HALF.search(reader.value(var, "dataType", "color3f")))
+        layers.append({"name": name, "aov": aov, "half": half})
+    return layers
+
+
+def product_aovs(layers: list[dict[str, Any]]) -> list[str]:
+    """AOVs that the renderer must keep for these layers; the beauty needs no name."""
+    return list(dict.fromkeys(layer["aov"] for layer in layers if layer["aov"] != BEAUTY))
+
+
+def source_aov(var: Usd.Prim, reader: Reader) -> str | None:
+    """The AOV that a RenderVar shows; None, and a warning, where there is none."""
+    kind = reader.value(var, "sourceType", "raw")
+    source = reader.value(var, "sourceName", "") or var.GetName()
+    if kind == "lpe" or source.startswith("lpe:"):
+        return lpe_aov(var, source.removeprefix("lpe:"), reader)
+    if kind == "primvar" or source.startswith("primvars:"):
+        reader.warn(var, f"sourceName: primvars are no AOVs in this version; '{source}' is not written")
+        return None
+    if kind not in ("raw", "intrinsic"):
+        reader.warn(var, f"sourceType: '{kind}' is not known; it is taken as 'raw'")
+    name = RAW_SOURCES.get(source) or RAW_SOURCES.get(var.GetName())
+    if name is None:
+        # Written as a raw source by many exporters.
+        name = next((aov for aov, texts in LPES.items() if source in texts), None)
+    if name is None:
+        why = NOT_KEPT.get(source, "it is no AOV of dermis")
+        reader.warn(var, f"sourceName: '{source}' is not written: {why}")
+    return name
+
+
+def lpe_aov(var: Usd.Prim, text: str, reader: Reader) -> str | None:
+    plain = re.sub(r"\s+", "", text).replace('"', "'")
+    for aov, texts in LPES.items():
+        if plain in texts:
+            return aov
+    # The name of the var says what it is for, where the expression has labels of another renderer.
+    if var.GetName() in LPES or var.GetName() == "indirect":
+        reader.warn(
+            var, f"sourceName: '{text}' is not among the light path expressions of dermis; its own is written"
+        )
+        return var.GetName()
+    known = ", ".join(f"{aov} {texts[0]}" for aov, texts in LPES.items())
+    reader.warn(var, f"sourceName: light path expression '{text}' is not written; there are {known}")
+    return None
+
+
+def related(prim: Usd.Prim, name: str) -> list[Usd.Prim]:
+    relationship = prim.GetRelationship(name)
+    paths = relationship.GetForwardedTargets() if relationship else []
+    prims = [prim.GetStage().GetPrimAtPath(path) for path in paths]
+    return [p for p in prims if p]

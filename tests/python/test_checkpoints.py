@@ -1,0 +1,248 @@
+"""Renders that end before they are done: killed and resumed, interrupted, skipped, looked at meanwhile."""
+
+import json
+import os
+import signal
+import struct
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("dermis._core", reason="the Rust core is not built")
+
+from command_line import CAMERA, CARD, DOME, WAX, channels, names, read_exr, run, stage_text, start
+
+from dermis import color
+from dermis._core import CoreError, Delegate
+from dermis.cli import files
+
+SMALL = ("--samples", "2", "-w", "16")
+
+
+@pytest.fixture
+def stage(tmp_path):
+    (tmp_path / "stage.usda").write_text(stage_text(CARD, CAMERA, DOME))
+    return tmp_path / "stage.usda"
+
+
+@pytest.fixture
+def wax(tmp_path):
+    (tmp_path / "wax.usda").write_text(stage_text(CARD, CAMERA, WAX))
+    return tmp_path / "wax.usda"
+
+
+def same_image(a: Path, b: Path) -> None:
+    first, second = channels(a), channels(b)
+    assert first.keys() == second.keys() and len(first) > 4
+    for name, values in first.items():
+        np.testing.assert_array_equal(values, second[name], err_msg=name)
+
+
+def wait_for(file: Path, child, seconds: float = 60.0) -> None:
+    end = time.monotonic() + seconds
+    while not file.exists() and child.poll() is None and time.monotonic() < end:
+        time.sleep(0.002)
+
+
+@pytest.mark.parametrize(
+    ("walk", "noise"),
+    [("classical", ()), ("mixture", ()), ("bono", ()), ("mixture", ("--noiseThreshold", "0.02"))],
+    ids=["classical", "mixture", "bono", "adaptive"],
+)
+def test_killed_and_resumed_is_the_uninterrupted_image(wax, tmp_path, walk, noise):
+    """kill -9 three times in a row, whatever tile or pass is under way."""
+    flags = ("-w", "40", "--samples", "80", "--walk", walk, "--threads", "2", *noise)
+    aovs = [word for aov in ("depth", "variance", "subsurface", "cryptoObject") for word in ("--aov", aov)]
+    assert run("record", wax, tmp_path / "whole.exr", *flags, *aovs) == 0
+    out, keep = tmp_path / "a.exr", tmp_path / "a.exr.checkpoint"
+    # (pilot, samples done): after something was learned, in the middle of a pass.
+    for least in [(True, 3), (False, 3), (False, 15)] if noise else [(False, 3), (False, 7), (False, 31)]:
+        child = start("record", wax, out, *flags, *aovs, "--checkpoint", "0.02", "--resume")
+        while child.poll() is None and not is_past(keep, *least):
+            time.sleep(0.001)
+        assert child.poll() is None, "it was too fast to be killed"
+        child.kill()
+        child.communicate()
+    child = start("record", wax, out, *flags, *aovs, "--resume", "--stats", tmp_path / "s.json")
+    said = child.communicate(timeout=300)[0]
+    assert child.returncode == 0 and f"Resuming from {keep}" in said
+    assert json.loads((tmp_path / "s.json").read_text())["resumed_samples_per_pixel"] >= least[1]
+    same_image(tmp_path / "whole.exr", out)
+    assert names(tmp_path) == ["a.exr", "s.json", "wax.usda", "whole.exr"]
+
+
+def is_past(keep: Path, pilot: bool, samples: int) -> bool:
+    """Whether a checkpoint is of that phase or a later one, with that many samples done in it."""
+    if not keep.exists():
+        return False
+    phase, tiles = struct.unpack_from("<IQ", keep.read_bytes(), 20)
+    (done,) = struct.unpack_from("<I", keep.read_bytes(), 32 + 4 * tiles)
+    return done >= samples if pilot == (phase == 1) else phase == 0
+
+
+def test_interrupted_and_resumed(wax, tmp_path):
+    flags = ("-w", "32", "--samples", "192", "--threads", "1")
+    child = start("record", wax, tmp_path / "a.exr", *flags, "--checkpoint", "1000", "--progress", "json")
+    assert any('"progress": 0.' in line for line in child.stdout)
+    child.send_signal(signal.SIGINT)
+    child.communicate(timeout=60)
+    assert child.returncode == 130
+    # What was rendered is there, marked, and so is the way on.
+    assert read_exr(tmp_path / "a.exr")[0].getattribute("dermis.complete") == "false"
+    assert names(tmp_path) == ["a.exr", "a.exr.checkpoint", "wax.usda"]
+    stats = ("--stats", tmp_path / "s.json")
+    assert run("record", wax, tmp_path / "a.exr", *flags, "--resume", "--skipExisting", *stats) == 0
+    found = json.loads((tmp_path / "s.json").read_text())
+    assert 0.0 < found["resumed_samples_per_pixel"] < 192.0 and found["samples_per_pixel"] == 192.0
+    assert run("record", wax, tmp_path / "whole.exr", *flags) == 0
+    same_image(tmp_path / "a.exr", tmp_path / "whole.exr")
+
+
+def checkpoint_of(stage: Path, out: Path, *flags: str) -> Path:
+    """A checkpoint of a render that is not over."""
+    child = start("record", stage, out, *flags, "--samples", "100000", "--checkpoint", "0.05")
+    wait_for(Path(f"{out}.checkpoint"), child)
+    child.kill()
+    child.communicate()
+    return Path(f"{out}.checkpoint")
+
+
+def test_checkpoints_of_something_else_are_refused(stage, tmp_path, capsys):
+    keep = checkpoint_of(stage, tmp_path / "a.exr", "-w", "16")
+    for flags in (("-w", "16", "--samples", "99"), ("-w", "16", "--samples", "100000", "--seed", "3")):
+        assert run("record", stage, tmp_path / "a.exr", *flags, "--resume") == 1
+        assert (
+            "a.exr.checkpoint: checkpoint: it is of another scene or other settings"
+            in capsys.readouterr().err
+        )
+    stage.write_text(stage.read_text().replace("intensity = 1", "intensity = 2"))
+    assert run("record", stage, tmp_path / "a.exr", "-w", "16", "--samples", "100000", "--resume") == 1
+    assert "it is of another scene" in capsys.readouterr().err
+    assert keep.exists() and not (tmp_path / "a.exr").exists()
+
+
+def test_damaged_checkpoints_are_refused(stage, tmp_path):
+    keep = checkpoint_of(stage, tmp_path / "a.exr", "-w", "16")
+    whole = keep.read_bytes()
+    flags = (
+        "record",
+        stage,
+        tmp_path / "a.exr",
+        "-w",
+        "16",
+        "--samples",
+        "100000",
+        "--timeLimit",
+        "1",
+        "--resume",
+    )
+    for damage in (b"", b"\0" * 100, whole[: len(whole) // 2], whole[:-1]):
+        keep.write_bytes(damage)
+        child = start(*flags)
+        _, said = child.communicate(timeout=60)
+        assert child.returncode == 1 and "a.exr.checkpoint: checkpoint:" in said, said
+    keep.write_bytes(whole)
+    assert run(*flags) == 0
+
+
+def test_resume_without_a_checkpoint_begins(stage, tmp_path):
+    assert run("record", stage, tmp_path / "a.exr", *SMALL, "--resume") == 0
+    assert run("record", stage, tmp_path / "b.exr", *SMALL) == 0
+    same_image(tmp_path / "a.exr", tmp_path / "b.exr")
+    assert names(tmp_path) == ["a.exr", "b.exr", "stage.usda"]
+
+
+def test_a_checkpoint_that_cannot_be_written_costs_no_image(stage, tmp_path, capsys):
+    (tmp_path / "a.exr.checkpoint.tmp").mkdir()
+    flags = ("-w", "32", "--samples", "256", "--checkpoint", "0.01")
+    assert run("record", stage, tmp_path / "a.exr", *flags) == 0
+    assert "Warning: render settings: " in capsys.readouterr().err
+    assert read_exr(tmp_path / "a.exr")[0].getattribute("dermis:samples") == 256
+
+
+def test_skip_existing(stage, tmp_path, capsys):
+    flags = (
+        *SMALL,
+        "--skipExisting",
+        "--displayImage",
+        tmp_path / "f.#.png",
+        "--stats",
+        tmp_path / "s.#.json",
+    )
+    assert run("record", stage, tmp_path / "f.#.exr", "-f", "1:3", *flags) == 0
+    made = {file.name: file.stat().st_mtime_ns for file in tmp_path.iterdir()}
+    capsys.readouterr()
+    (tmp_path / "f.2.png").unlink()
+    assert run("record", stage, tmp_path / "f.#.exr", "-f", "1:3", *flags) == 0
+    said = capsys.readouterr().out
+    assert [f"Skipping time code {n}.000000" in said for n in (1, 2, 3)] == [True, False, True]
+    changed = [name for name, at in made.items() if (tmp_path / name).stat().st_mtime_ns != at]
+    assert sorted(changed) == ["f.2.exr", "f.2.png", "s.2.json"]
+
+
+@pytest.mark.parametrize("damage", ["empty", "cut", "interrupted"])
+@pytest.mark.parametrize("kind", ["exr", "png", "jpg", "json"])
+def test_only_complete_files_are_skipped(tmp_path, stage, kind, damage):
+    file = tmp_path / f"a.{kind}"
+    if kind == "json":
+        file.write_text(json.dumps({"complete": damage != "interrupted"}))
+    elif kind == "exr":
+        assert run("record", stage, file, *SMALL) == 0
+    else:
+        comment = files.INCOMPLETE if damage == "interrupted" else ""
+        color.write_display_image(
+            file, np.zeros((64, 64, 4), np.float32), color.DisplayTransform("disabled"), comment
+        )
+    if kind == "exr" and damage == "interrupted":
+        child = start("record", stage, file, "--samples", "1000000", "--progress", "json", "-w", "16")
+        assert any('"progress"' in line for line in child.stdout)
+        child.send_signal(signal.SIGINT)
+        child.communicate(timeout=60)
+    assert files.is_complete(file) == (damage != "interrupted")
+    if damage == "empty":
+        file.write_bytes(b"")
+        assert not files.is_complete(file)
+    if damage == "cut":
+        file.write_bytes(file.read_bytes()[: file.stat().st_size // 3])
+        assert not files.is_complete(file)
+
+
+def test_snapshots(wax, tmp_path):
+    flags = ("-w", "32", "--samples", "1000000", "--progress", "json")
+    child = start("record", wax, tmp_path / "a.exr", *flags, "--snapshot", "0.2", "--timeLimit", "4")
+    seen = tmp_path / "a_snapshot.exr"
+    wait_for(seen, child)
+    spec, pixels = read_exr(seen)
+    assert spec.getattribute("dermis.complete") == "false" and pixels[16, 16, :3].max() > 0.0
+    assert not (tmp_path / "a.exr").exists()
+    child.communicate(timeout=60)
+    assert child.returncode == 0
+    assert names(tmp_path) == ["a.exr", "wax.usda"]
+
+
+def test_a_signal_asks_for_a_snapshot(stage, tmp_path):
+    child = start(
+        "record", stage, tmp_path / "a.png", "-w", "32", "--samples", "100000000", "--progress", "json"
+    )
+    assert any('"progress"' in line for line in child.stdout)
+    os.kill(child.pid, signal.SIGUSR1)
+    wait_for(tmp_path / "a_snapshot.png", child)
+    assert color.image_comment(tmp_path / "a_snapshot.png") == files.INCOMPLETE
+    child.send_signal(signal.SIGINT)
+    child.communicate(timeout=60)
+    assert child.returncode == 130
+
+
+def test_start_says_whether_it_resumes(tmp_path):
+    delegate = Delegate()
+    with pytest.raises(CoreError, match="commit the scene"):
+        delegate.start(str(tmp_path / "c"), 1.0, True)
+    delegate.set_settings(json.dumps({"resolution": [8, 8], "samples": 1}))
+    delegate.sync("/Cam", json.dumps({"type": "Camera"}), [], 1023)
+    delegate.set_settings(json.dumps({"camera": "/Cam"}))
+    delegate.commit()
+    assert delegate.start(str(tmp_path / "c"), 1.0, True) is False
+    with pytest.raises(ValueError, match="every"):
+        delegate.start(str(tmp_path / "c"), -1.0, True)

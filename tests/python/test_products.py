@@ -1,0 +1,353 @@
+"""RenderProducts, RenderVars and the settings that they share or override: which files come out, with what in them."""
+
+import json
+
+import numpy as np
+import pytest
+
+pytest.importorskip("dermis._core", reason="the Rust core is not built")
+
+from command_line import CAMERA, CARD, DOME, channels, names, read_exr, run, stage_text
+
+from dermis.products import flatten_products
+from dermis.reading import Reader, Report
+
+METADATA = 'renderSettingsPrimPath = "/Render/S"'
+
+
+def var(name: str, source: str, kind: str = "raw", data: str = "color3f") -> str:
+    return (
+        f'def RenderVar "{name}"\n{{\nuniform string sourceName = "{source}"\n'
+        f'uniform token sourceType = "{kind}"\nuniform token dataType = "{data}"\n}}\n'
+    )
+
+
+def product(name: str, file: str, variables: str, more: str = "") -> str:
+    targets = ", ".join(f"</Render/{v}>" for v in variables.split())
+    return f'def RenderProduct "{name}"\n{{\ntoken productName = "{file}"\nrel orderedVars = [{targets}]\n{more}\n}}\n'
+
+
+VARS = (
+    var("beauty", "C.*[LO]", "lpe", "color4f")
+    + var("Z", "z", data="float")
+    + var("N", "N", data="normal3h")
+    + var("sss", "C<TD>.*[LO]", "lpe")
+    + var("who", "cryptoObject")
+)
+
+
+def settings(*products: str, more: str = "") -> str:
+    listed = ", ".join(f"</Render/{text.split(chr(34))[1]}>" for text in products)
+    return (
+        f'def Scope "Render"\n{{\ndef RenderSettings "S"\n{{\nrel products = [{listed}]\nint dermis:samples = 2\n'
+        f"uniform int2 resolution = (16, 8)\n{more}\n}}\n" + "".join(products) + VARS + "}\n"
+    )
+
+
+@pytest.fixture
+def stage(tmp_path):
+    def write(*products: str, more: str = "", prims: str = "") -> str:
+        text = stage_text(
+            CARD, CAMERA, DOME, prims, metadata=METADATA, outside=settings(*products, more=more)
+        )
+        (tmp_path / "stage.usda").write_text(text)
+        return str(tmp_path / "stage.usda")
+
+    return write
+
+
+def test_several_products_in_one_run(stage, tmp_path, capsys):
+    small = "uniform int2 resolution = (6, 6)\nrel camera = </World/other>"
+    file = stage(
+        product("A", f"{tmp_path}/a.exr", "beauty N"),
+        product("B", f"{tmp_path}/deep/b.exr", "Z beauty"),
+        product("C", f"{tmp_path}/c.png", "beauty", small),
+        prims=CAMERA.replace("main_cam", "other"),
+    )
+    assert run("record", file, "--stats", tmp_path / "s.json") == 0
+    assert names(tmp_path) == ["a.exr", "c.png", "deep", "s.json", "stage.usda"]
+    assert list(channels(tmp_path / "a.exr")) == ["R", "G", "B", "A", "N.X", "N.Y", "N.Z"]
+    assert list(channels(tmp_path / "deep" / "b.exr")) == ["R", "G", "B", "A", "Z.Z"]
+    a, b = channels(tmp_path / "a.exr"), channels(tmp_path / "deep" / "b.exr")
+    # One render: the same samples.
+    np.testing.assert_array_equal(a["R"], b["R"])
+    assert a["R"].shape == (8, 16)
+    from PIL import Image
+
+    assert Image.open(tmp_path / "c.png").size == (6, 6)
+    # The camera is 10 units away, the card fills the middle.
+    assert b["Z.Z"][4, 8] == pytest.approx(10.0)
+    assert a["N.Z"][4, 8] == 1.0
+    oiio = pytest.importorskip("OpenImageIO")
+    spec = oiio.ImageInput.open(str(tmp_path / "a.exr")).spec()
+    formats = dict(zip(spec.channelnames, map(str, spec.channelformats), strict=True))
+    assert formats["N.X"] == "half" and formats["R"] == "float"
+    assert "Camera: /World/main_cam" in capsys.readouterr().out
+    # It is the image of a run of its own.
+    assert run("record", file, tmp_path / "alone.exr", "--aov", "depth") == 0
+    np.testing.assert_array_equal(channels(tmp_path / "alone.exr")["R"], a["R"])
+
+
+def test_output_takes_the_place_of_the_first_product(stage, tmp_path, capsys):
+    file = stage(
+        product("A", f"{tmp_path}/a.exr", "beauty"),
+        product("B", f"{tmp_path}/b.exr", "Z", "uniform int2 resolution = (4, 4)"),
+    )
+    assert run("record", file, tmp_path / "mine.exr", "-w", "12") == 0
+    said = capsys.readouterr().out
+    assert (
+        f"OUTPUT overrides productName of </Render/A>: {tmp_path}/mine.exr instead of {tmp_path}/a.exr"
+        in said
+    )
+    assert "Flag overrides resolution of </Render/A>: 12,12 instead of 16,8" in said
+    assert "Flag overrides resolution of </Render/B>: 12,12 instead of 4,4" in said
+    assert names(tmp_path) == ["b.exr", "mine.exr", "stage.usda"]
+    assert channels(tmp_path / "b.exr")["Z.Z"].shape == (12, 12)
+
+
+def test_typed_aovs_win_over_vars(stage, tmp_path, capsys):
+    assert run("record", stage(product("A", "", "beauty N")), tmp_path / "a.exr", "--aov", "primId") == 0
+    assert "Flag overrides aovs of </Render/A>: primId instead of normal" in capsys.readouterr().out
+    assert list(channels(tmp_path / "a.exr")) == ["R", "G", "B", "A", "primId.id"]
+
+
+def test_without_output_and_products(stage, tmp_path, capsys):
+    assert run("record", stage()) == 2
+    assert "the following arguments are required: OUTPUT" in capsys.readouterr().err
+    assert run("record", stage(product("A", f"{tmp_path}/a.tif", "beauty"))) == 1
+    assert "/Render/A: productName: " in capsys.readouterr().err
+    twice = stage(product("A", f"{tmp_path}/a.exr", "beauty"), product("B", f"{tmp_path}/a.exr", "Z"))
+    assert run("record", twice) == 1
+    assert "is made by another product already" in capsys.readouterr().err
+
+
+def test_products_of_a_sequence(stage, tmp_path, capsys):
+    timed = product("A", "", "beauty").replace(
+        'token productName = ""',
+        f'token productName.timeSamples = {{1: "{tmp_path}/one.exr", 2: "{tmp_path}/two.exr"}}',
+    )
+    assert run("record", stage(timed), "-f", "1:2") == 0
+    assert run("record", stage(product("A", f"{tmp_path}/marked.##.exr", "beauty")), "-f", "1:2") == 0
+    assert names(tmp_path) == ["marked.01.exr", "marked.02.exr", "one.exr", "stage.usda", "two.exr"]
+    capsys.readouterr()
+    assert run("record", stage(product("A", f"{tmp_path}/same.exr", "beauty")), "-f", "1:3") == 1
+    assert "same.exr is that of the frame before, too" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("source", "kind", "aov"),
+    [
+        ("C.*[LO]", "lpe", "color"),
+        ("lpe:C.*[<L.>O]", "raw", "color"),
+        ("C.?[LO]", "lpe", "direct"),
+        ('C<T"subsurface">.*[LO]', "lpe", "subsurface"),
+        ("Ci", "raw", "color"),
+        ("cameraDepth", "raw", "depth"),
+        ("deviceDepth", "intrinsic", "deviceDepth"),
+        ("Neye", "raw", "Neye"),
+        ("C<RS>L", "lpe", None),
+        ("st", "primvar", None),
+        ("primvars:st", "raw", None),
+        ("motionvector", "raw", None),
+        ("whatever", "intrinsic", None),
+    ],
+)
+def test_sources(make_stage, source, kind, aov):
+    quoted = source.replace('"', "'")
+    body = (
+        'def RenderSettings "S"\n{\nrel products = [</Render/A>]\n}\ndef Scope "Render"\n{\n'
+        + product("A", "a.exr", "v")
+        + var("v", quoted, kind)
+        + "}\n"
+    )
+    usd, report = make_stage(body), Report()
+    found = flatten_products(usd.GetPrimAtPath("/S"), Reader(1.0, report))
+    assert [layer["aov"] for layer in found[0].layers] == ([aov] if aov else [])
+    assert len(report.warnings) == (aov is None)
+
+
+def test_deep_products_are_dropped_with_a_warning(make_stage):
+    body = 'def RenderSettings "S"\n{\nrel products = [</P>]\n}\n'
+    body += 'def RenderProduct "P"\n{\ntoken productType = "deepRaster"\n}\n'
+    report = Report()
+    assert flatten_products(make_stage(body).GetPrimAtPath("/S"), Reader(1.0, report)) == []
+    assert report.warnings == [("/P", "productType: 'deepRaster' is not supported; the product is not made")]
+
+
+def test_cryptomatte_and_ids_have_a_manifest(stage, tmp_path):
+    second = CARD.replace("Card", "Second").replace(
+        "uniform token",
+        'double3 xformOp:translate = (1, 0, 1)\nuniform token[] xformOpOrder = ["xformOp:translate"]\nuniform token',
+    )
+    file = stage(product("A", f"{tmp_path}/a.exr", "beauty who"), prims=second)
+    assert run("record", file, "--samples", "16", "-w", "32", "--imageHeight", "16") == 0
+    found = channels(tmp_path / "a.exr")
+    oiio = pytest.importorskip("OpenImageIO")
+    spec = oiio.ImageInput.open(str(tmp_path / "a.exr")).spec()
+    attributes = {a.name: a.value for a in spec.extra_attribs if a.name.startswith("cryptomatte/")}
+    assert len(attributes) == 4
+    manifest = json.loads(next(value for name, value in attributes.items() if name.endswith("/manifest")))
+    assert sorted(manifest) == ["/World/Card", "/World/Second"]
+    covered = {name: np.zeros((16, 32)) for name in manifest}
+    for identity, coverage in (("00.R", "00.G"), ("00.B", "00.A"), ("01.R", "01.G")):
+        bits = found[f"cryptoObject{identity}"].view(np.uint32)
+        for name, digest in manifest.items():
+            covered[name] += np.where(bits == int(digest, 16), found[f"cryptoObject{coverage}"], 0.0)
+    total = sum(covered.values())
+    np.testing.assert_allclose(total, found["A"], atol=1e-6)
+    assert (covered["/World/Card"] > 0.9).any() and (covered["/World/Second"] > 0.9).any()
+    assert (
+        run("record", file, tmp_path / "ids.exr", "--aov", "primId", "-w", "32", "--imageHeight", "16") == 0
+    )
+    ids = channels(tmp_path / "ids.exr")["primId.id"]
+    listed = json.loads(read_exr(tmp_path / "ids.exr")[0].getattribute("dermis:primIds"))
+    assert listed == ["/World/Card", "/World/Second"]
+    assert set(np.unique(ids)) == {0, 1, 0xFFFFFFFF}
+    assert (covered[listed[1]][ids == 1] > 0.0).all()
+
+
+def test_kinds_of_depth(stage, tmp_path):
+    kinds = ("depth", "distance", "deviceDepth", "Peye", "Neye", "position")
+    flags = [word for kind in kinds for word in ("--aov", kind)]
+    assert run("record", stage(), tmp_path / "a.exr", *flags) == 0
+    found = channels(tmp_path / "a.exr")
+    hit = found["A"] == 1.0
+    x, y = found["position.X"][hit], found["position.Y"][hit]
+    np.testing.assert_allclose(found["depth.Z"][hit], 10.0, rtol=1e-5)
+    np.testing.assert_allclose(found["distance.Z"][hit], np.sqrt(x**2 + y**2 + 100.0), rtol=1e-5)
+    # USD's default clipping range is 1 to 1e6.
+    np.testing.assert_allclose(found["deviceDepth.Z"][hit], 1e6 * 9.0 / (10.0 * (1e6 - 1.0)), rtol=1e-5)
+    np.testing.assert_allclose(found["Peye.Z"][hit], -10.0, rtol=1e-5)
+    np.testing.assert_allclose(found["Peye.X"][hit], x, rtol=1e-5)
+    np.testing.assert_allclose(found["Neye.Z"][hit], 1.0)
+    assert (found["deviceDepth.Z"][found["A"] == 0.0] == 1.0).all()
+
+
+@pytest.mark.parametrize(
+    ("policy", "width"),
+    # The camera's aperture is 20 x 20, the image 16 x 8, the card 2 of 4 units wide at that aperture.
+    [
+        ("expandAperture", 4),
+        ("cropAperture", 8),
+        ("adjustApertureWidth", 4),
+        ("adjustApertureHeight", 8),
+        ("adjustPixelAspectRatio", 8),
+    ],
+)
+def test_conform_policies(stage, tmp_path, policy, width):
+    file = stage(more=f'uniform token aspectRatioConformPolicy = "{policy}"')
+    assert run("record", file, tmp_path / "a.exr", "--samples", "4") == 0
+    spec, pixels = read_exr(tmp_path / "a.exr")
+    alpha = pixels[..., 3]
+    assert alpha[4].sum() == pytest.approx(width, abs=0.3)
+    assert spec.getattribute("PixelAspectRatio") == (0.5 if policy == "adjustPixelAspectRatio" else 1.0)
+
+
+def test_pixel_aspect_ratio(stage, tmp_path):
+    assert (
+        run(
+            "record", stage(more="uniform float pixelAspectRatio = 0.5"), tmp_path / "a.exr", "--samples", "4"
+        )
+        == 0
+    )
+    spec, pixels = read_exr(tmp_path / "a.exr")
+    # 16 x 8 pixels of aspect 1/2 are square, as is the camera's aperture.
+    assert spec.getattribute("PixelAspectRatio") == 0.5
+    assert pixels[4, :, 3].sum() == pytest.approx(8.0, abs=0.3)
+    assert pixels[:, 8, 3].sum() == pytest.approx(4.0, abs=0.3)
+
+
+def test_overscan_is_rendered_around_the_same_pixels(stage, tmp_path):
+    file = stage(more="uniform float4 dataWindowNDC = (-0.25, -0.5, 1.125, 1.25)")
+    assert run("record", file, tmp_path / "a.exr") == 0
+    assert run("record", stage(), tmp_path / "b.exr") == 0
+    spec, pixels = read_exr(tmp_path / "a.exr")
+    assert (spec.x, spec.y, spec.width, spec.height) == (-4, -2, 22, 14)
+    assert (spec.full_width, spec.full_height) == (16, 8)
+    np.testing.assert_array_equal(pixels[2:10, 4:20], read_exr(tmp_path / "b.exr")[1])
+
+
+def test_settings_pass_and_namespaced_settings(stage, tmp_path, capsys):
+    text = stage_text(
+        CARD,
+        CAMERA,
+        DOME,
+        outside=settings(product("A", f"{tmp_path}/a.exr", "beauty"), more="int dermis:seed = 7")
+        + 'def RenderPass "Pass"\n{\nrel renderSource = </Render/S>\n}\n',
+    )
+    (tmp_path / "stage.usda").write_text(text)
+    flags = ("-rp", "/Pass", "--stats", tmp_path / "s.json", "--samples", "1")
+    assert run("record", tmp_path / "stage.usda", *flags) == 0
+    found = json.loads((tmp_path / "s.json").read_text())["settings"]
+    assert (found["seed"], found["samples"], found["resolution"]) == (7, 1, [16, 8])
+    assert "Flag overrides samples of </Render/A>: 1 instead of 2" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("collection", "seen", "said"),
+    [
+        ("", True, ""),
+        ("rel collection:renderVisibility:excludes = </World/Red>", False, ""),
+        (
+            "uniform bool collection:renderVisibility:includeRoot = 0\n"
+            "rel collection:renderVisibility:includes = [</World/Card>, </World/Dome>]",
+            False,
+            "",
+        ),
+        ("rel collection:prune:includes = </World/Red>", False, ""),
+        (
+            "rel collection:cameraVisibility:excludes = </World/Red>",
+            True,
+            "collection:cameraVisibility: not supported",
+        ),
+    ],
+)
+def test_collections_of_a_pass(tmp_path, capsys, collection, seen, said):
+    red = CARD.replace("Card", "Red").replace("(1, 1, 1)]", "(1, 0, 0)]").replace(", 0)", ", 1)")
+    outside = settings() + f'def RenderPass "Pass"\n{{\nrel renderSource = </Render/S>\n{collection}\n}}\n'
+    (tmp_path / "stage.usda").write_text(stage_text(CARD, red, CAMERA, DOME, outside=outside))
+    assert run("record", tmp_path / "stage.usda", tmp_path / "a.exr", "-rp", "/Pass") == 0
+    assert (read_exr(tmp_path / "a.exr")[1][4, 8, 1] < 0.2) == seen
+    assert said in capsys.readouterr().err
+
+
+BOUND = """
+def Mesh "Card" (
+    prepend apiSchemas = ["MaterialBindingAPI"]
+)
+{
+    int[] faceVertexCounts = [3]
+    int[] faceVertexIndices = [0, 1, 2]
+    point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
+    uniform token subdivisionScheme = "none"
+    %s
+}
+def Material "All" {}
+def Material "Full" {}
+def Material "Preview" {}
+def RenderSettings "S"
+{
+    uniform token[] materialBindingPurposes = [%s]
+}
+"""
+ALL, FULL, PREVIEW = (
+    "rel material:binding = </All>\n",
+    "rel material:binding:full = </Full>\n",
+    "rel material:binding:preview = </Preview>\n",
+)
+
+
+@pytest.mark.parametrize(
+    ("bindings", "purposes", "material"),
+    [
+        (ALL + FULL + PREVIEW, '"full", ""', "/Full"),
+        (ALL + FULL + PREVIEW, '"preview", "full", ""', "/Preview"),
+        (ALL + FULL, '"preview", "full", ""', "/Full"),
+        (ALL + FULL, '"preview", ""', "/All"),
+        (ALL, '"preview", "full"', ""),
+        (ALL + PREVIEW, '""', "/All"),
+    ],
+)
+def test_material_binding_purposes(flat, bindings, purposes, material):
+    found = flat(BOUND % (bindings, purposes), render_settings="/S")
+    assert found.prims["/Card"].get("material", "") == material
