@@ -7,7 +7,7 @@
 //!    |  RenderDelegate::sync(path, prim, dirty bits)
 //!    v
 //! flat::FlatScene                      USD's words and units; validated once; one .dermis file
-//!    |  RenderDelegate::commit() -> scene::compile
+//!    |  RenderDelegate::commit() -> scene::compile (subdivision: from cages to limit surfaces)
 //!    v
 //! scene::Scene                         immutable: BVHs, instances, images, surfaces, media, lights, Needs
 //!    |  render::render: passes over tiles
@@ -47,4 +47,5 @@ mod replace;
 pub mod sampling;
 mod saved;
 pub mod scene;
+pub mod subdivision;
 pub mod subsurface;

@@ -12,7 +12,7 @@ use crate::flat::{self, FlatScene, Prim, RenderSettings, StageInfo, validate};
 use crate::guiding::look;
 use crate::integrator::PathStats;
 use crate::render::{GuideStats, Keep, Progress, Report, film_for, render};
-use crate::scene::{CompileStats, GeometryCache, ImageCache, Scene, compile, fit_images};
+use crate::scene::{CompileStats, Geometry, GeometryCache, ImageCache, Scene, compile, fit_images};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -129,6 +129,8 @@ impl RenderDelegate {
             mesh.hole_indices = new.hole_indices;
             mesh.orientation = new.orientation;
             mesh.subdivision_scheme = new.subdivision_scheme;
+            mesh.subdiv_tags = new.subdiv_tags;
+            mesh.refine_level = new.refine_level;
         }
         if has(DirtyBits::TOPOLOGY) || has(DirtyBits::MATERIAL_ID) {
             mesh.geom_subsets = new.geom_subsets;
@@ -327,8 +329,24 @@ impl RenderDelegate {
             "needs": self.scene.as_ref().map(|scene| &scene.needs),
             "capabilities": self.scene.as_ref().map(lines),
             "media": self.media(),
+            "subdivision": self.subdivision(),
             "warnings": self.warnings(),
         })
+    }
+
+    /// What became of each visible subdivision surface of the committed scene.
+    fn subdivision(&self) -> Vec<Value> {
+        let line = |(path, geometry): (&String, &Arc<Geometry>)| {
+            let (refinement, mesh) = (geometry.refinement.as_ref()?, self.flat.meshes.get(path)?);
+            Some(json!({
+                "prim": path,
+                "scheme": mesh.subdivision_scheme,
+                "level": refinement.level,
+                "cageFaces": refinement.cage_faces,
+                "triangles": geometry.triangles.len(),
+            }))
+        };
+        self.geometry.iter().filter_map(line).collect()
     }
 
     /// Which walk each medium of the committed scene takes, and why.

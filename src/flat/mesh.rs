@@ -60,6 +60,42 @@ pub struct GeomSubset {
     pub material: String,
 }
 
+/// What shapes a subdivision surface beside its cage: the tags of `UsdGeomMesh`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+pub struct SubdivTags {
+    /// `none`, `edgeOnly`, `edgeAndCorner`.
+    pub interpolate_boundary: String,
+    /// `none`, `cornersOnly`, `cornersPlus1`, `cornersPlus2`, `boundaries`, `all`.
+    pub face_varying_linear_interpolation: String,
+    /// `catmullClark`, `smooth`.
+    pub triangle_subdivision_rule: String,
+    /// Point indices, crease after crease.
+    pub crease_indices: Array<i32>,
+    /// Points of each crease.
+    pub crease_lengths: Array<i32>,
+    /// One per crease, or one per edge; 10 and more: infinite.
+    pub crease_sharpnesses: Array<f32>,
+    /// Point indices.
+    pub corner_indices: Array<i32>,
+    pub corner_sharpnesses: Array<f32>,
+}
+
+impl Default for SubdivTags {
+    fn default() -> Self {
+        Self {
+            interpolate_boundary: "edgeAndCorner".into(),
+            face_varying_linear_interpolation: "cornersPlus1".into(),
+            triangle_subdivision_rule: "catmullClark".into(),
+            crease_indices: Array::default(),
+            crease_lengths: Array::default(),
+            crease_sharpnesses: Array::default(),
+            corner_indices: Array::default(),
+            corner_sharpnesses: Array::default(),
+        }
+    }
+}
+
 /// A polygon mesh: `UsdGeomMesh`, or an implicit prim that the bridge tessellated.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "camelCase", default)]
@@ -74,9 +110,12 @@ pub struct Mesh {
     pub face_vertex_counts: Array<i32>,
     pub face_vertex_indices: Array<i32>,
     pub hole_indices: Array<i32>,
-    /// `none`, `catmullClark`, `loop`, `bilinear`. Authored normals count for `none` only; the others
-    /// get smooth normals of their control cage.
+    /// `none`, `catmullClark`, `loop`, `bilinear`. Authored normals count for `none` only.
     pub subdivision_scheme: String,
+    pub subdiv_tags: SubdivTags,
+    /// Refinements of this mesh; `None`: those of the render settings.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub refine_level: Option<u32>,
     pub normals: Option<Primvar<[f32; 3]>>,
     /// By name: those that the networks of its materials read.
     pub primvars: BTreeMap<String, AnyPrimvar>,
@@ -101,6 +140,8 @@ impl Default for Mesh {
             face_vertex_indices: Array::default(),
             hole_indices: Array::default(),
             subdivision_scheme: "none".into(),
+            subdiv_tags: SubdivTags::default(),
+            refine_level: None,
             normals: None,
             primvars: BTreeMap::new(),
             display_color: None,
@@ -119,6 +160,13 @@ pub struct Instancer {
     pub visible: bool,
     /// Prototype root to world, one per instance.
     pub transforms: Array<Matrix4d>,
+    /// One per instance, in place of the meshes' own; empty: theirs.
+    #[serde(skip_serializing_if = "is_empty")]
+    pub display_color: Array<[f32; 3]>,
+}
+
+fn is_empty(values: &Array<[f32; 3]>) -> bool {
+    values.is_empty()
 }
 
 /// An image of a light, decoded by the bridge: linear Rec.709, row 0 at the top.

@@ -18,7 +18,7 @@ pub use light::{Light, LightShape, Shaping};
 pub use material::{Material, OpenPbrSurface, PreviewSurface, StandardSurface};
 pub use mesh::{
     AnyPrimvar, GeomSubset, IDENTITY, Image, Instancer, Interpolation, Matrix4d, Mesh, Orientation, Prims, Primvar,
-    Texels, Texture,
+    SubdivTags, Texels, Texture,
 };
 pub use network::{ImageNode, Network, Node, Op, Tile, Wrap};
 pub use settings::{AOVS, EXTRA_AOVS, GUIDE_AOVS, MAX_NORMALS, RenderSettings, WALKS};

@@ -25,6 +25,14 @@ pub(crate) fn cube() -> Mesh {
             indices: None,
         }),
         display_opacity: Some(primvar(Interpolation::Uniform, vec![0.0, 0.1, 0.2, 0.3, 0.4, 0.5])),
+        subdiv_tags: SubdivTags {
+            interpolate_boundary: "edgeOnly".into(),
+            crease_indices: vec![0, 1].into(),
+            crease_lengths: vec![2].into(),
+            crease_sharpnesses: vec![2.5].into(),
+            ..SubdivTags::default()
+        },
+        refine_level: Some(2),
         material: "/looks/skin".into(),
         geom_subsets: vec![GeomSubset {
             path: "/cube/top".into(),
@@ -45,7 +53,8 @@ pub(crate) fn scene() -> FlatScene {
     scene.meshes.insert("/cube".into(), cube());
     scene.meshes.insert("/leaf".into(), Mesh { instancer: "/tree".into(), ..cube() });
     let transforms = vec![IDENTITY, [[2.0, 0.0, 0.0, 0.0], IDENTITY[1], IDENTITY[2], [3.0, 4.0, 5.0, 1.0]]];
-    scene.instancers.insert("/tree".into(), Instancer { visible: true, transforms: transforms.into() });
+    let display_color = vec![[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]].into();
+    scene.instancers.insert("/tree".into(), Instancer { visible: true, transforms: transforms.into(), display_color });
     scene.materials.insert("/looks/skin".into(), Material::default());
     scene.materials.insert("/looks/wax".into(), Material::OpenPbr(OpenPbrSurface::default()));
     scene.materials.insert("/looks/jade".into(), Material::StandardSurface(StandardSurface::default()));

@@ -46,6 +46,8 @@ pub struct RenderSettings {
     /// Relative error of the image from which pilot samples decide how many each tile gets, `samples` at most; 0:
     /// all get `samples`.
     pub noise_threshold: f32,
+    /// Refinements of subdivision surfaces, at most [`crate::subdivision::MAX_LEVEL`]; 0 renders their cages.
+    pub refine_level: u32,
     /// Surface bounces.
     pub max_depth: u32,
     /// Subsurface walk, one of [`WALKS`].
@@ -101,6 +103,7 @@ impl Default for RenderSettings {
             threads: 0,
             time_limit: 0.0,
             noise_threshold: 0.0,
+            refine_level: 0,
             max_depth: 12,
             walk: "auto".into(),
             walk_pdf: "auto".into(),

@@ -10,6 +10,7 @@ use crate::flat::{self, FlatScene, LightShape};
 use crate::light::Lights;
 use crate::math::{Affine, Rgb};
 use crate::medium::Medium;
+use crate::subdivision::level_of;
 use crate::subsurface::inversion::{Illumination, single_scattering_albedo};
 use glam::{DVec3, Mat3, Vec3};
 use rayon::prelude::*;
@@ -88,11 +89,14 @@ fn names<'a>(keys: impl Iterator<Item = &'a String>) -> String {
 
 /// Builds what is visible and not in the cache, and forgets what is gone; the number built.
 fn build_geometry(flat: &FlatScene, cache: &mut GeometryCache) -> usize {
-    cache.retain(|path, _| flat.meshes.contains_key(path));
+    let level = |mesh: &flat::Mesh| level_of(mesh, &flat.settings);
+    cache.retain(|path, geometry| flat.meshes.get(path).is_some_and(|mesh| geometry.asked_level() == level(mesh)));
     let missing: Vec<(&String, &flat::Mesh)> =
         flat.meshes.iter().filter(|(path, mesh)| mesh.visible && !cache.contains_key(*path)).collect();
-    let built: Vec<(String, Arc<Geometry>)> =
-        missing.par_iter().map(|(path, mesh)| ((*path).clone(), Arc::new(Geometry::compile(mesh)))).collect();
+    let built: Vec<(String, Arc<Geometry>)> = missing
+        .par_iter()
+        .map(|(path, mesh)| ((*path).clone(), Arc::new(Geometry::compile(mesh, level(mesh)))))
+        .collect();
     let count = built.len();
     cache.extend(built);
     count
@@ -138,11 +142,12 @@ impl Builder<'_> {
             if placements.is_empty() {
                 continue;
             }
+            self.note_refinement(path, geometry);
             let surfaces = self.coat(path, mesh, geometry);
             self.needs.meshes += 1;
             self.needs.triangles += geometry.triangles.len() as u64;
             self.needs.instanced += placements.len() as u32 - 1;
-            for to_render in placements {
+            for (to_render, display_color) in placements {
                 let translated = to_render.linear == Mat3::IDENTITY;
                 let instance = Instance {
                     geometry: geometry.clone(),
@@ -150,6 +155,7 @@ impl Builder<'_> {
                     surfaces,
                     prim_id: prim_id as i32,
                     light: None,
+                    display_color,
                     translated,
                 };
                 if let Some(triangles) = emitters.get_mut(path) {
@@ -161,22 +167,35 @@ impl Builder<'_> {
         (instances, emitters)
     }
 
-    fn placements(&mut self, path: &str, mesh: &flat::Mesh, centre: DVec3) -> Vec<Affine> {
-        let mut place = |m: &flat::Matrix4d| {
+    fn note_refinement(&mut self, path: &str, geometry: &Geometry) {
+        let Some(refinement) = &geometry.refinement else { return };
+        self.warnings.extend(refinement.faults.iter().map(|fault| Warning::new(path, fault.as_str())));
+        if refinement.level > 0 {
+            self.needs.refined_meshes += 1;
+            self.needs.refined_triangles += geometry.triangles.len() as u64;
+        } else {
+            self.needs.cages += 1;
+        }
+    }
+
+    /// Where a mesh stands, and the colour that an instancer gives it there.
+    fn placements(&mut self, path: &str, mesh: &flat::Mesh, centre: DVec3) -> Vec<(Affine, Option<Vec3>)> {
+        let mut place = |m: &flat::Matrix4d, color: Option<&[f32; 3]>| {
             let placed = Affine::from_usd(m, centre, self.origin);
             if placed.is_none() {
                 self.warnings
                     .push(Warning::new(path, "xformOp: the transform has no inverse in f32; placement left out"));
             }
-            placed
+            placed.map(|placed| (placed, color.map(|c| Vec3::from(*c).clamp(Vec3::ZERO, Vec3::ONE))))
         };
         if mesh.instancer.is_empty() {
-            return place(&mesh.transform).into_iter().collect();
+            return place(&mesh.transform, None).into_iter().collect();
         }
         let Some(instancer) = self.flat.instancers.get(&mesh.instancer).filter(|i| i.visible) else {
             return Vec::new();
         };
-        instancer.transforms.iter().filter_map(|m| place(&multiply(&mesh.transform, m))).collect()
+        let placed = |(i, m)| place(&multiply(&mesh.transform, m), instancer.display_color.get(i));
+        instancer.transforms.iter().enumerate().filter_map(placed).collect()
     }
 
     /// Surfaces for the slots of a mesh; the index of the first.
@@ -232,7 +251,7 @@ impl Builder<'_> {
     fn constant_surface(&mut self, prim: &str, material: &str, display_color: Option<Rgb>, opacity: f32) -> Surface {
         let key = (material.to_owned(), display_color.map(|c| c.to_array().map(f32::to_bits)), opacity.to_bits());
         if let Some(known) = self.known.get(&key) {
-            return known.clone();
+            return *known;
         }
         let warned = self.warnings.len();
         let boundary_override = boundary_named(&self.flat.settings.subsurface_boundary);
@@ -241,7 +260,7 @@ impl Builder<'_> {
         let surface = Surface::compile(material, display_color, opacity, boundary_override, prim, self.warnings);
         if self.warnings.len() == warned {
             // Else the next mesh of the kind is to be named, too.
-            self.known.insert(key, surface.clone());
+            self.known.insert(key, surface);
         }
         surface
     }

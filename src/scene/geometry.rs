@@ -2,6 +2,7 @@
 
 use super::accel::Blas;
 use crate::flat::{self, AnyPrimvar, Interpolation, Orientation, Primvar, array::Element};
+use crate::subdivision::{self, Refinement};
 use glam::{DVec3, Vec2, Vec3, Vec4};
 use std::collections::BTreeMap;
 
@@ -111,6 +112,8 @@ pub struct Geometry {
     pub primvars: BTreeMap<String, Values>,
     /// Material slot per triangle: 0 the mesh's own, i the (i-1)th GeomSubset; `None`: all 0.
     pub slots: Option<Vec<u16>>,
+    /// `None`: not a subdivision surface.
+    pub refinement: Option<Refinement>,
 }
 
 /// Triangles of a mesh with what they came from.
@@ -122,15 +125,34 @@ struct Triangulation {
 }
 
 impl Geometry {
-    /// From a validated mesh: every index is in range, every point finite.
-    pub fn compile(mesh: &flat::Mesh) -> Self {
-        let soup = triangulate(mesh);
+    /// From a validated mesh: every index is in range, every point finite. A subdivision surface is refined `level`
+    /// times and moved to its limit; at level 0 it is its cage.
+    pub fn compile(mesh: &flat::Mesh, level: u32) -> Self {
         let centre = centre(&mesh.points);
         let points: Vec<Vec3> = mesh.points.iter().map(|p| (Vec3::from(*p).as_dvec3() - centre).as_vec3()).collect();
+        if !subdivision::is_subdivided(mesh) {
+            return Self::build(mesh, points, centre, None);
+        }
+        if level == 0 {
+            let cage_faces = mesh.face_vertex_counts.len();
+            return Self::build(
+                mesh,
+                points,
+                centre,
+                Some(Refinement { asked: 0, level, cage_faces, faults: Vec::new() }),
+            );
+        }
+        let refined = subdivision::refine(mesh, &points, level);
+        Self::build(&refined.mesh, refined.points, centre, Some(refined.refinement))
+    }
+
+    /// From a mesh whose points are about `centre` already.
+    fn build(mesh: &flat::Mesh, points: Vec<Vec3>, centre: DVec3, refinement: Option<Refinement>) -> Self {
+        let soup = triangulate(mesh);
         let blas = Blas::build(&points, &soup.triangles);
         let normals = match (&mesh.normals, mesh.subdivision_scheme.as_str()) {
             (Some(normals), "none") => Some(attribute(normals, &soup, Vec3::from)),
-            (None, "none") => None,
+            (None, "none") | (_, "bilinear") => None,
             // A subdivision surface is smooth even as its control cage.
             _ => Some(Attribute::Point(smooth_normals(&points, &soup.triangles))),
         };
@@ -144,7 +166,13 @@ impl Geometry {
             triangles: soup.triangles,
             centre,
             blas,
+            refinement,
         }
+    }
+
+    /// The refine level that it was compiled for.
+    pub fn asked_level(&self) -> u32 {
+        self.refinement.as_ref().map_or(0, |refinement| refinement.asked)
     }
 
     /// Corner positions of a triangle, centred object space.

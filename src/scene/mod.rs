@@ -43,6 +43,8 @@ pub struct Instance {
     pub prim_id: i32,
     /// Light and index of its first triangle there, if the mesh is a light.
     pub light: Option<(u32, u32)>,
+    /// In place of the geometry's.
+    pub display_color: Option<Vec3>,
     /// The linear part is the identity: rays need no rotation.
     pub(crate) translated: bool,
 }
@@ -227,6 +229,7 @@ impl Scene {
             surface: instance.surfaces + geometry.slot(hit.triangle) as u32,
             front,
             display_color: match &geometry.display_color {
+                _ if instance.display_color.is_some() => instance.display_color,
                 None | Some(Attribute::Constant(_)) => None,
                 Some(color) => Some(color.at(hit.triangle as usize, corners, hit.u, hit.v)),
             },

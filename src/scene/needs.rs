@@ -10,6 +10,10 @@ pub struct Needs {
     pub meshes: u32,
     /// Placements of meshes beyond the first one of each.
     pub instanced: u32,
+    /// Subdivision surfaces that were refined, and their triangles (one placement of each); those left as cages.
+    pub refined_meshes: u32,
+    pub refined_triangles: u64,
+    pub cages: u32,
     pub lights: u32,
     /// Lights that rays can hit (shapes and meshes) and those at infinity.
     pub mesh_lights: u32,
@@ -44,6 +48,18 @@ pub struct Explanation {
 impl Needs {
     pub fn walks(&self) -> bool {
         self.diffuse_media + self.dielectric_media + self.index_matched_media > 0
+    }
+
+    fn subdivision(&self) -> String {
+        let Self { refined_meshes, refined_triangles, cages, .. } = self;
+        format!("{refined_meshes} surfaces refined to {refined_triangles} triangles, {cages} left as cages")
+    }
+
+    fn not_refined(&self) -> String {
+        match self.cages {
+            0 => "no subdivision surface".into(),
+            n => format!("{n} surfaces are left as cages; --complexity refines them"),
+        }
     }
 
     /// Each capability with why it is on, or what is missing for it.
@@ -101,6 +117,7 @@ impl Needs {
                 count(self.mesh_lights, "meshes emit as lights"),
                 "no mesh is one",
             ),
+            line("subdivision", self.refined_meshes > 0, self.subdivision(), &self.not_refined()),
             line(
                 "environment sampling",
                 self.infinite_lights > 0,

@@ -14,6 +14,7 @@ from PIL import Image
 
 pytest.importorskip("dermis._core", reason="the Rust core is not built")
 
+from dermis import render
 from dermis.cli import main
 
 CARD = """
@@ -379,6 +380,138 @@ def test_explain_lists_needs_and_warnings(stage, capsys):
     assert "/: camera: none found" in said
 
 
+BALL = """
+    def Mesh "Ball"
+    {
+        int[] faceVertexCounts = [4, 4, 4, 4, 4, 4]
+        int[] faceVertexIndices = [0, 2, 3, 1, 4, 5, 7, 6, 0, 1, 5, 4, 2, 6, 7, 3, 0, 4, 6, 2, 1, 3, 7, 5]
+        point3f[] points = [(-1, -1, -1), (1, -1, -1), (-1, 1, -1), (1, 1, -1),
+            (-1, -1, 1), (1, -1, 1), (-1, 1, 1), (1, 1, 1)]
+    }
+"""
+
+
+def test_complexity_refines_subdivision_surfaces(stage, tmp_path, capsys):
+    """usdrecord's default is the cage; then 24, 96 and 384 quads for its six."""
+    file, covered = stage(BALL, CAMERA, DOME), []
+    flags = ("--samples", "4", "-w", "64", "--stats", tmp_path / "s.json")
+    for level, name in enumerate(("low", "medium", "high", "veryhigh")):
+        typed = ("--complexity", name) if level else ()
+        assert run("record", file, tmp_path / "a.exr", *flags, *typed) == 0
+        said, triangles = capsys.readouterr().out, 12 * 4**level
+        assert f"Subdivision surfaces at level {level}: 1, {triangles} triangles" in said
+        needs = json.loads((tmp_path / "s.json").read_text())["needs"]
+        assert needs["triangles"] == triangles and needs["refined_meshes"] == (level > 0)
+        covered.append(read_exr(tmp_path / "a.exr")[1][..., 3].mean())
+    # The cage is the square of 2 x 2 of its front at distance 9; the surface is well within. Chords of its silhouette
+    # miss less of it from level to level, by 4 each.
+    assert covered[0] == pytest.approx((2 / 9 * 50 / 20) ** 2, rel=0.02)
+    assert covered[1] < 0.6 * covered[0]
+    assert covered[1] < covered[2] < covered[3]
+    assert covered[3] - covered[2] < 0.5 * (covered[2] - covered[1]) < 0.1 * covered[1]
+
+
+def test_refine_levels_by_prim_by_settings_and_by_flag(stage, capsys):
+    own = BALL.replace("    {\n", "    {\n        int primvars:dermis:refineLevel = 1\n", 1)
+    settings = SETTINGS.replace("dermis:samples = 2", "dermis:refineLevel = 2")
+    metadata = 'renderSettingsPrimPath = "/Render/Settings"'
+    file = stage(own, BALL.replace("Ball", "Other"), CAMERA, DOME, outside=settings, metadata=metadata)
+    assert run("explain", file) == 0
+    said = capsys.readouterr().out
+    assert "/World/Ball: catmullClark, level 1: 6 faces to 48 triangles" in said
+    assert "/World/Other: catmullClark, level 2: 6 faces to 192 triangles" in said
+    assert run("explain", file, "--complexity", "veryhigh") == 0
+    said = capsys.readouterr().out
+    assert "/World/Ball: catmullClark, level 1" in said and "/World/Other: catmullClark, level 3" in said
+    assert run("explain", file, "--set", "refineLevel=0") == 0
+    assert "/World/Other: catmullClark, its cage: 6 faces to 12 triangles" in capsys.readouterr().out
+
+
+def test_a_flattened_file_is_refined_as_asked(stage, tmp_path, capsys):
+    assert run("flatten", stage(BALL, CAMERA, DOME), tmp_path / "a.dermis", "-w", "16") == 0
+    for flags, level in ((("-c", "high"), 2), ((), 0)):
+        assert run("record", tmp_path / "a.dermis", tmp_path / "a.exr", "--samples", "2", *flags) == 0
+        assert f"Subdivision surfaces at level {level}: 1," in capsys.readouterr().out
+
+
+WAX = """
+    def Material "Wax"
+    {
+        token outputs:surface.connect = </World/Wax/Surface.outputs:surface>
+        def Shader "Surface"
+        {
+            uniform token info:id = "UsdPreviewSurface"
+            float inputs:subsurface = 1
+            color3f inputs:subsurfaceRadius = (0.1, 0.05, 0.02)
+            token outputs:surface
+        }
+    }
+"""
+ROPE = """
+    def BasisCurves "Rope" (prepend apiSchemas = ["MaterialBindingAPI"])
+    {
+        uniform token type = "cubic"
+        uniform token basis = "bspline"
+        uniform token wrap = "%s"
+        int[] curveVertexCounts = [4]
+        point3f[] points = [(-1, 0, 0), (0, 1, 0.5), (1, 0, 0), (0, -1, -0.5)]
+        float[] widths = [0.4] (
+            interpolation = "constant"
+        )
+        rel material:binding = </World/Wax>
+    }
+"""
+
+
+@pytest.mark.parametrize("body", ["surface", "periodic", "pinned"])
+def test_walks_stay_within_what_was_tessellated(stage, tmp_path, body):
+    """Refined surfaces and tubes are closed: no walk under them leaks, no edge is open."""
+    worn = BALL.replace('"Ball"', '"Ball" (prepend apiSchemas = ["MaterialBindingAPI"])')
+    worn = worn.replace("    }\n", "        rel material:binding = </World/Wax>\n    }\n")
+    file = stage(worn if body == "surface" else ROPE % body, WAX, CAMERA, DOME)
+    flags = ("-w", "48", "--samples", "8", "-c", "high", "--stats", tmp_path / "s.json")
+    assert run("record", file, tmp_path / "a.exr", *flags) == 0
+    stats = json.loads((tmp_path / "s.json").read_text())
+    assert stats["walks"] > 1000 and stats["walks_leaked"] == 0 and stats["warnings"] == []
+
+
+CREASES = """        int[] creaseIndices = [0, 7]
+        int[] creaseLengths = [2]
+        float[] creaseSharpnesses = [2]
+    }
+"""
+
+
+def test_tags_that_fit_nothing_are_said(stage, tmp_path, capsys):
+    file = stage(BALL.replace("    }\n", CREASES), CAMERA, DOME)
+    assert run("record", file, tmp_path / "a.exr", "-c", "high", *SMALL) == 0
+    assert "Warning: /World/Ball: creaseIndices: 1 of 1 edges are none of the mesh" in capsys.readouterr().err
+
+
+POINTS = """
+    def Points "Points"
+    {
+        point3f[] points = [(-1.2, 0, 0), (1.2, 0, 0)]
+        float[] widths = [1.6, 0.8]
+        color3f[] primvars:displayColor = [(0.8, 0, 0), (0, 0.4, 0)] (
+            interpolation = "vertex"
+        )
+    }
+"""
+
+
+def test_points_are_spheres_of_their_width_and_colour(stage):
+    file = stage(POINTS, CAMERA, DOME)
+    image = render(file, resolution=(128, 128), samples=16)
+    red, green, alpha = image["albedo"][..., 0], image["albedo"][..., 1], image.color[..., 3]
+    assert red[:, 64:].sum() < 0.1 * red[:, :64].sum() and green[:, :64].sum() < 0.1 * red[:, :64].sum()
+    assert green[:, 64:].max() == pytest.approx(0.4, abs=0.1)
+    # Discs of radius 0.8 and 0.4 at distance 10, on a film of 128 pixels for 4 units there.
+    left, right = alpha[:, :64].sum(), alpha[:, 64:].sum()
+    assert left == pytest.approx(np.pi * (0.8 * 32) ** 2, rel=0.04)
+    assert right == pytest.approx(np.pi * (0.4 * 32) ** 2, rel=0.04)
+
+
 def test_set_alone_lists_the_settings(capsys):
     assert run("record", "a.usda", "a.exr", "--set") == 0
     listed = dict(line.split("=", 1) for line in capsys.readouterr().out.splitlines())
@@ -449,3 +582,51 @@ def test_trace_of_usd(stage, tmp_path):
         run("record", file, tmp_path / "a.exr", "--traceToFile", trace, "--traceFormat", "trace", *SMALL) == 0
     )
     assert trace.stat().st_size > 0
+
+
+MAPPED = """
+    def Material "Map"
+    {
+        token outputs:surface.connect = </World/Map/Surface.outputs:surface>
+        def Shader "Surface"
+        {
+            uniform token info:id = "UsdPreviewSurface"
+            color3f inputs:diffuseColor.connect = </World/Map/Reader.outputs:result>
+            token outputs:surface
+        }
+        def Shader "Reader"
+        {
+            uniform token info:id = "UsdPrimvarReader_float3"
+            string inputs:varname = "tint"
+            float3 outputs:result
+        }
+    }
+"""
+
+
+@pytest.mark.parametrize("body", ["surface", "curve"])
+def test_primvars_that_a_material_reads_follow_refinement(stage, body):
+    """Red on the left, green on the right: by face of the cage, and along a tube."""
+    binding = "        rel material:binding = </World/Map>\n    }\n"
+    tint = 'float3[] primvars:tint = [%s] (\n            interpolation = "%s"\n        )\n'
+    if body == "surface":
+        red, green, blue = "(0.8, 0, 0)", "(0, 0.8, 0)", "(0, 0, 0.8)"
+        faces = tint % (", ".join([blue, blue, blue, blue, red, green]), "uniform")
+        prim = BALL.replace("    }\n", faces + binding).replace(
+            '"Ball"', '"Ball" (prepend apiSchemas = ["MaterialBindingAPI"])'
+        )
+    else:
+        ends = tint % ("(0.8, 0, 0), (0, 0.8, 0)", "vertex")
+        prim = f"""
+    def BasisCurves "Rope" (prepend apiSchemas = ["MaterialBindingAPI"])
+    {{
+        uniform token type = "linear"
+        int[] curveVertexCounts = [2]
+        point3f[] points = [(-1, 0, 0), (1, 0, 0)]
+        float[] widths = [0.8] (
+            interpolation = "constant"
+        )
+        {ends}{binding}"""
+    image = render(stage(prim, MAPPED, CAMERA, DOME), resolution=(64, 64), samples=8, refineLevel=2)
+    left, right = image["albedo"][:, :32].mean((0, 1)), image["albedo"][:, 32:].mean((0, 1))
+    assert left[0] > 2 * left[1] and right[1] > 2 * right[0] and left[0] == pytest.approx(right[1], rel=0.2)

@@ -146,3 +146,40 @@ def test_edit_stops_a_render_under_way() -> None:
     assert delegate.poll()[1], "an edit ends the render"
     with pytest.raises(core.CoreError, match="commit"):
         delegate.start()
+
+
+SURFACE = STAGE.replace(
+    'def Cube "Box"\n{\n    double size = 1.2',
+    """def Mesh "Box"
+{
+    int[] faceVertexCounts = [4, 4, 4, 4, 4, 4]
+    int[] faceVertexIndices = [0, 2, 3, 1, 4, 5, 7, 6, 0, 1, 5, 4, 2, 6, 7, 3, 0, 4, 6, 2, 1, 3, 7, 5]
+    point3f[] points = [(-1, -1, -1), (1, -1, -1), (-1, 1, -1), (1, 1, -1),
+        (-1, -1, 1), (1, -1, 1), (-1, 1, 1), (1, 1, 1)]""",
+)
+
+
+def test_a_refine_level_and_creases_are_edits_of_their_mesh():
+    stage = Usd.Stage.CreateInMemory()
+    stage.GetRootLayer().ImportFromString(SURFACE)
+    delegate, flat = hydra.Delegate(), flatten(stage)
+    hydra.populate(delegate.core, flat)
+    delegate.set_settings(camera="/Cam", resolution=[8, 8], refineLevel=2)
+
+    def triangles() -> tuple[int, int]:
+        built = delegate.commit()["blas_built"]
+        (surface,) = json.loads(delegate.core.explain())["subdivision"]
+        return built, surface["triangles"]
+
+    assert triangles() == (2, 192)
+    delegate.set_settings(samples=1)
+    assert triangles() == (0, 192)
+    delegate.set_settings(refineLevel=1)
+    assert triangles() == (1, 48)
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/Box"))
+    mesh.CreateCreaseIndicesAttr([0, 1])
+    mesh.CreateCreaseLengthsAttr([2])
+    mesh.CreateCreaseSharpnessesAttr([3.0])
+    edited = flatten(stage)
+    assert hydra.populate(delegate.core, edited, flat) == {"/Box": hydra.DirtyBits.TOPOLOGY}
+    assert triangles() == (1, 48)

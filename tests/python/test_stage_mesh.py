@@ -31,12 +31,11 @@ def test_topology(flat):
     assert m["subdivisionScheme"] == "none" and m["visible"] is True
 
 
-def test_unauthored_scheme_is_catmull_clark_and_creases_are_said(flat):
+def test_unauthored_scheme_is_catmull_clark_without_normals(flat):
     body = QUADS.replace('uniform token subdivisionScheme = "none"', "")
-    result = flat(mesh("    int[] creaseIndices = [0, 1]\n    normal3f[] normals = [(0, 0, 1)]", body))
+    result = flat(mesh("    normal3f[] normals = [(0, 0, 1)]", body))
     assert result.prims["/M"]["subdivisionScheme"] == "catmullClark"
-    assert "normals" not in result.prims["/M"]
-    assert [(p, "creaseIndices" in m) for p, m in result.warnings] == [("/M", True)]
+    assert "normals" not in result.prims["/M"] and result.warnings == []
 
 
 READER = """
@@ -274,15 +273,54 @@ def SphereLight "L"
 def test_prims_not_rendered_yet_are_named_once_per_type(flat):
     body = "".join(
         f'def {kind} "{kind}{i}"\n{{\n}}\n'
-        for kind in ("BasisCurves", "Points", "NurbsPatch", "Volume", "TetMesh")
+        for kind in ("HermiteCurves", "NurbsPatch", "Volume", "TetMesh")
         for i in range(2)
     )
     warnings = flat(body).warnings
     assert sorted(prim for prim, _ in warnings) == [
-        "/BasisCurves0",
+        "/HermiteCurves0",
         "/NurbsPatch0",
-        "/Points0",
         "/TetMesh0",
         "/Volume0",
     ]
     assert all("not rendered yet (2 prims" in message for _, message in warnings)
+
+
+CREASED = QUADS.replace(
+    'uniform token subdivisionScheme = "none"',
+    """uniform token interpolateBoundary = "edgeOnly"
+    uniform token faceVaryingLinearInterpolation = "all"
+    uniform token triangleSubdivisionRule = "smooth"
+    int[] creaseIndices = [0, 1]
+    int[] creaseLengths = [2]
+    float[] creaseSharpnesses = [2.5]
+    int[] cornerIndices = [3]
+    float[] cornerSharpnesses = [1.5]
+    int primvars:dermis:refineLevel = 2""",
+)
+
+
+def test_subdivision_tags(flat):
+    result = flat(mesh(body=CREASED))
+    fields = result.prims["/M"]
+    assert result.warnings == [] and fields["refineLevel"] == 2
+    tags = {name: list(v) if isinstance(v, np.ndarray) else v for name, v in fields["subdivTags"].items()}
+    assert tags == {
+        "interpolateBoundary": "edgeOnly",
+        "faceVaryingLinearInterpolation": "all",
+        "triangleSubdivisionRule": "smooth",
+        "creaseIndices": [0, 1],
+        "creaseLengths": [2],
+        "creaseSharpnesses": [2.5],
+        "cornerIndices": [3],
+        "cornerSharpnesses": [1.5],
+    }
+
+
+def test_a_refine_level_is_inherited_and_checked(flat):
+    group = 'def Xform "G"\n{\n    int primvars:dermis:refineLevel = 3\n'
+    body = CREASED.replace("    int primvars:dermis:refineLevel = 2", "")
+    assert flat(group + mesh(body=body) + "}\n").prims["/G/M"]["refineLevel"] == 3
+    assert flat(group + mesh(body=CREASED) + "}\n").prims["/G/M"]["refineLevel"] == 2
+    result = flat(mesh(body=CREASED.replace("Level = 2", "Level = 9")))
+    assert "refineLevel" not in result.prims["/M"] and "9 is none of 0 to 8" in result.warnings[0][1]

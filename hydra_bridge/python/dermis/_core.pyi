@@ -59,7 +59,8 @@ class Delegate:
 
     def explain(self) -> str:
         """JSON: what the committed scene needs (`needs`), what was switched on and why (`capabilities`), which walk
-        each medium takes and why (`media`: `prim`, `walk`, `exact`, `why`), `warnings`."""
+        each medium takes and why (`media`: `prim`, `walk`, `exact`, `why`), what became of each subdivision surface
+        (`subdivision`: `prim`, `scheme`, `level`, `cageFaces`, `triangles`), `warnings`."""
 
     def bounds(self) -> tuple[list[float], list[float]] | None:
         """World bounds (min, max) of the visible meshes; None without any."""

@@ -12,6 +12,7 @@ from .instancer import Matrices, nested
 from .light import flatten_light
 from .material import flatten_material
 from .mesh import MESH_TYPES, flatten_mesh, flatten_read_primvars, flatten_subsets
+from .points import flatten_points
 from .reading import Reader
 from .skel import Skins
 from .walk import Found, Frame, canonical_path
@@ -67,6 +68,8 @@ class Emitter:
             # A camera inside instances counts once, where the first of them stands.
             matrix = Gf.Matrix4d(*np.ravel(local_to_world(found, matrices)[0]))
             self.prims[found.key] = flatten_camera(found.prim, self.reader, matrix)
+        elif found.kind == "Points":
+            self.points(found, matrices)
         elif found.kind not in MESH_TYPES:
             textures = self.textures if found.context.visible else None
             light = flatten_light(found.prim, found.kind, self.reader, textures, self.domes_visible)
@@ -91,6 +94,21 @@ class Emitter:
         self.bindables.extend(subsets)
         mesh["geomSubsets"] = [subset for _, subset in subsets]
         return mesh
+
+    def points(self, found: Found, matrices: Matrices) -> None:
+        """A sphere, and an instancer of its own that places it for every point in every placement of the prim."""
+        spheres = flatten_points(found.prim, self.reader, found.context.inherited())
+        if spheres is None:
+            return
+        key = f"{found.key}.points"
+        fields = {"type": "Mesh", "visible": found.context.visible, "material": "", "instancer": key}
+        mesh = self.prims[found.key] = {**fields, **spheres.mesh}
+        self.bindables.append((found.prim, mesh))
+        transforms = nested(spheres.matrices, local_to_world(found, matrices))
+        instancer = {"type": "Instancer", "visible": True, "transforms": np.ascontiguousarray(transforms)}
+        if spheres.colors is not None:
+            instancer["displayColor"] = np.tile(spheres.colors, (len(matrices), 1))
+        self.prims[key] = instancer
 
     def mesh_lights(self, found: Found, matrices: Matrices) -> None:
         """A mesh light is a mesh and a light; inside instances each placement gets its own pair."""

@@ -36,6 +36,8 @@ MESH_BITS = {
     "holeIndices": DirtyBits.TOPOLOGY,
     "orientation": DirtyBits.TOPOLOGY,
     "subdivisionScheme": DirtyBits.TOPOLOGY,
+    "subdivTags": DirtyBits.TOPOLOGY,
+    "refineLevel": DirtyBits.TOPOLOGY,
     "points": DirtyBits.POINTS,
     "transform": DirtyBits.TRANSFORM,
     "primvars": DirtyBits.PRIMVAR,
@@ -49,7 +51,11 @@ MESH_BITS = {
 }
 """Field of Mesh -> bit; `geomSubsets` is topology where faces move, material otherwise."""
 
-INSTANCER_BITS = {"transforms": DirtyBits.INSTANCER, "visible": DirtyBits.VISIBILITY}
+INSTANCER_BITS = {
+    "transforms": DirtyBits.INSTANCER,
+    "displayColor": DirtyBits.INSTANCER,
+    "visible": DirtyBits.VISIBILITY,
+}
 
 PARAMS_BITS = {"transform": DirtyBits.TRANSFORM, "visible": DirtyBits.VISIBILITY}
 """Of lights and cameras, beside PARAMS, which any change of theirs sets."""

@@ -41,7 +41,7 @@ def build(prim: Usd.Prim, kind: str, reader: Reader, length: Any) -> Surface | N
         axis = "Z"
     match kind:
         case "Sphere":
-            return revolve(*arc(length("radius", 1.0), -90.0, 90.0, STACKS), axis)
+            return sphere(length("radius", 1.0), axis)
         case "Cube":
             return cube(length("size", 2.0))
         case "Plane":
@@ -69,6 +69,10 @@ def arc(radius: float, start: float, end: float, steps: int, z: float = 0.0) -> 
     # The poles are exact, so that `revolve` recognises them.
     normals[np.abs(latitude) == np.pi / 2, 0] = 0.0
     return radius * normals + [0.0, z], np.stack([normals[:-1], normals[1:]], axis=1)
+
+
+def sphere(radius: float, axis: str = "Z") -> Surface:
+    return revolve(*arc(radius, -90.0, 90.0, STACKS), axis)
 
 
 def frustum(bottom: float, top: float, height: float, axis: str) -> Surface | None:

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from pxr import Usd, UsdGeom
 
+from .curves import Tessellation, read_primvar, tessellate_curves
 from .implicit import IMPLICIT_TYPES, tessellate
 from .reading import Reader, numeric
 from .skel import Skins
@@ -13,7 +14,36 @@ from .skel import Skins
 PRIMVARS = {"displayColor": ("displayColor", 3), "displayOpacity": ("displayOpacity", 1)}
 """Primvar -> field of Mesh, components; others are read where a material asks for them."""
 
-MESH_TYPES = ("Mesh", *IMPLICIT_TYPES)
+REFINE_LEVEL = "dermis:refineLevel"
+"""A constant primvar, which a group hands down to its meshes."""
+
+INHERITED_PRIMVARS = (*PRIMVARS, REFINE_LEVEL)
+
+MAX_LEVEL = 8
+
+SUBDIV_TOKENS = {
+    "interpolateBoundary": ("edgeAndCorner", "edgeOnly", "none"),
+    "faceVaryingLinearInterpolation": (
+        "cornersPlus1",
+        "cornersPlus2",
+        "cornersOnly",
+        "boundaries",
+        "none",
+        "all",
+    ),
+    "triangleSubdivisionRule": ("catmullClark", "smooth"),
+}
+"""Tokens by attribute, the schema's fallback first."""
+
+SUBDIV_ARRAYS = {
+    "creaseIndices": np.int32,
+    "creaseLengths": np.int32,
+    "creaseSharpnesses": np.float32,
+    "cornerIndices": np.int32,
+    "cornerSharpnesses": np.float32,
+}
+
+MESH_TYPES = ("Mesh", "BasisCurves", *IMPLICIT_TYPES)
 
 Inherited = Mapping[str, UsdGeom.Primvar]
 """Constant primvars of the ancestors by name."""
@@ -24,10 +54,14 @@ def flatten_mesh(
 ) -> dict[str, Any] | None:
     """Fields of `flat::Mesh` except transform, visibility and material; None where there is nothing to
     render."""
+    if kind == "BasisCurves":
+        return curves(prim, reader, inherited)
     if kind == "Mesh":
         mesh = polygons(prim, reader)
         if mesh is not None:
             skins.deform(prim, mesh)
+            level = refine_level(prim, inherited, reader) if mesh["subdivisionScheme"] != "none" else None
+            mesh |= {} if level is None else {"refineLevel": level}
     elif (surface := tessellate(prim, kind, reader)) is not None:
         mesh = {"orientation": "rightHanded", "subdivisionScheme": "none", **surface}
     else:
@@ -37,6 +71,21 @@ def flatten_mesh(
     mesh["doubleSided"] = reader.value(prim, "doubleSided", kind == "Plane")
     add_primvars(prim, kind, mesh, reader, inherited)
     return mesh
+
+
+def curves(prim: Usd.Prim, reader: Reader, inherited: Inherited) -> dict[str, Any] | None:
+    made = tessellate_curves(prim, reader)
+    if made is None:
+        return None
+    api = UsdGeom.PrimvarsAPI(prim)
+    for name, (field, components) in PRIMVARS.items():
+        primvar = api.GetPrimvar(name)
+        primvar = primvar if primvar and primvar.HasAuthoredValue() else inherited.get(name)
+        attribute = primvar and read_primvar(prim, primvar, components, made.spline, reader)
+        if attribute:
+            made.surface[field] = made.primvar(*attribute)
+    made.surface.setdefault("doubleSided", reader.value(prim, "doubleSided", False))
+    return made.surface
 
 
 def polygons(prim: Usd.Prim, reader: Reader) -> dict[str, Any] | None:
@@ -62,7 +111,7 @@ def polygons(prim: Usd.Prim, reader: Reader) -> dict[str, Any] | None:
     if mesh["subdivisionScheme"] == "none":
         add_normals(prim, mesh, reader)
     else:
-        warn_sharpness(prim, reader)
+        mesh["subdivTags"] = subdiv_tags(prim, reader)
     return mesh
 
 
@@ -75,14 +124,29 @@ def choice(prim: Usd.Prim, name: str, tokens: tuple[str, ...], reader: Reader) -
     return tokens[0]
 
 
-def warn_sharpness(prim: Usd.Prim, reader: Reader) -> None:
-    authored = [
-        name for name in ("creaseIndices", "cornerIndices") if prim.GetAttribute(name).HasAuthoredValue()
-    ]
-    if authored:
-        reader.warn(
-            prim, f"{', '.join(authored)}: creases and corners are not supported yet; they are ignored"
-        )
+def subdiv_tags(prim: Usd.Prim, reader: Reader) -> dict[str, Any]:
+    """Fields of `flat::SubdivTags`; the core checks the arrays against the mesh."""
+    tags: dict[str, Any] = {
+        name: choice(prim, name, tokens, reader) for name, tokens in SUBDIV_TOKENS.items()
+    }
+    for name, dtype in SUBDIV_ARRAYS.items():
+        values = reader.array(prim, name, dtype, 1)
+        if values is not None and len(values):
+            tags[name] = values
+    return tags
+
+
+def refine_level(prim: Usd.Prim, inherited: Inherited, reader: Reader) -> int | None:
+    """`primvars:dermis:refineLevel` of the prim or an ancestor; None: that of the render settings."""
+    own = UsdGeom.PrimvarsAPI(prim).GetPrimvar(REFINE_LEVEL)
+    primvar = own if own and own.HasAuthoredValue() else inherited.get(REFINE_LEVEL)
+    if primvar is None:
+        return None
+    level = reader.coerced(prim, f"primvars:{REFINE_LEVEL}", primvar.Get(reader.time), -1)
+    if 0 <= level <= MAX_LEVEL:
+        return level
+    reader.warn(prim, f"primvars:{REFINE_LEVEL}: {level} is none of 0 to {MAX_LEVEL}; it is ignored")
+    return None
 
 
 def add_normals(prim: Usd.Prim, mesh: dict[str, Any], reader: Reader) -> None:
@@ -125,6 +189,7 @@ def flatten_read_primvars(
     """`flat::Mesh::primvars` of those among `names` that the prim has; `names`: to what reads it, if a missing one is
     to be said."""
     api, found = UsdGeom.PrimvarsAPI(prim), {}
+    made = tessellate_curves(prim, reader) if kind == "BasisCurves" else None
     for name, user in names.items():
         primvar = api.GetPrimvar(name)
         if not (primvar and primvar.HasAuthoredValue()):
@@ -132,14 +197,27 @@ def flatten_read_primvars(
         if primvar is None:
             if user:
                 reader.warn(prim, f"primvars:{name}: there is none; {user} reads it and gets its fallback")
-        elif kind != "Mesh" and primvar.GetInterpolation() != UsdGeom.Tokens.constant:
+        elif kind not in ("Mesh", "BasisCurves") and primvar.GetInterpolation() != UsdGeom.Tokens.constant:
             reader.warn(prim, f"primvars:{name}: a {kind} takes only constant primvars; it is ignored")
-        elif (
-            value := flatten_primvar(prim, primvar, components_of(primvar, reader), mesh, reader)
-        ) is not None:
+        elif (value := read_by(made, prim, primvar, mesh, reader)) is not None:
             components = 1 if value["values"].ndim == 1 else value["values"].shape[1]
             found[name] = {"type": "float" if components == 1 else f"float{components}", **value}
     return found
+
+
+def read_by(
+    curves: Tessellation | None,
+    prim: Usd.Prim,
+    primvar: UsdGeom.Primvar,
+    mesh: dict[str, Any],
+    reader: Reader,
+) -> dict[str, Any] | None:
+    """A primvar of a mesh, or of curves by what they were tessellated to."""
+    components = components_of(primvar, reader)
+    if curves is None:
+        return flatten_primvar(prim, primvar, components, mesh, reader)
+    attribute = read_primvar(prim, primvar, components, curves.spline, reader)
+    return curves.primvar(*attribute) if attribute else None
 
 
 def components_of(primvar: UsdGeom.Primvar, reader: Reader) -> int:

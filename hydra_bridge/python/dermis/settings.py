@@ -22,6 +22,7 @@ DERMIS_SETTINGS: dict[str, Any] = {
     "threads": 0,
     "timeLimit": 0.0,
     "noiseThreshold": 0.0,
+    "refineLevel": 0,
     "maxDepth": 12,
     "walk": "auto",
     "walkPdf": "auto",

@@ -15,16 +15,14 @@ from pxr import Gf, Usd, UsdGeom, UsdLux, UsdShade, Vt
 from .bindings import bound_materials
 from .instancer import Matrices, nested, place, point_instances
 from .light import LIGHT_TYPES, UNSUPPORTED_LIGHTS
-from .mesh import MESH_TYPES, PRIMVARS
+from .mesh import INHERITED_PRIMVARS, MESH_TYPES
 from .reading import Reader
 
 UNSUPPORTED_PRIMS = (
-    "BasisCurves",
     "HermiteCurves",
     "NurbsCurves",
     "NurbsPatch",
     "ParticleField3DGaussianSplat",
-    "Points",
     "TetMesh",
     "Volume",
 )
@@ -160,6 +158,9 @@ class Walk:
             if context.purpose in self.purposes:
                 emits = prim.HasAPI(UsdLux.LightAPI)
                 frame.found.append(Found(prim, kind, frame.key(prim), matrix, context, emits))
+        elif kind == "Points":
+            if context.purpose in self.purposes:
+                frame.found.append(Found(prim, kind, frame.key(prim), matrix, context))
         elif kind in LIGHT_TYPES or kind == "Camera":
             frame.found.append(Found(prim, kind, frame.key(prim), matrix, context))
         elif kind in UNSUPPORTED_LIGHTS:
@@ -261,7 +262,7 @@ def constant_primvars(prim: Usd.Prim, context: Context, reader: Reader) -> tuple
     """Constant primvars are inherited; one of another interpolation ends that (UsdGeomPrimvarsAPI)."""
     primvars = {entry[0]: entry for entry in context.primvars}
     api = UsdGeom.PrimvarsAPI(prim)
-    for name in (*PRIMVARS, *reader.primvars):
+    for name in (*INHERITED_PRIMVARS, *reader.primvars):
         primvar = api.GetPrimvar(name)
         if not (primvar and primvar.HasAuthoredValue()):
             continue

@@ -11,6 +11,8 @@ use crate::{
 };
 
 const SCHEMES: [&str; 4] = ["none", "catmullClark", "loop", "bilinear"];
+const BOUNDARIES: [&str; 3] = ["none", "edgeOnly", "edgeAndCorner"];
+const LINEAR: [&str; 6] = ["none", "cornersOnly", "cornersPlus1", "cornersPlus2", "boundaries", "all"];
 
 /// After it: the counts are 3 or more and add up to the indices; every index of vertices, faces and primvar
 /// values is in range; every point and value is finite; no face has all of its area zero (one triangle of a
@@ -24,6 +26,7 @@ pub fn validate_mesh(path: &str, mesh: &mut Mesh, warnings: &mut Vec<Warning>) {
         return;
     }
     report.token("subdivisionScheme", &mut mesh.subdivision_scheme, &SCHEMES, "none");
+    check_tags(mesh, &mut report);
     check_face_lists(mesh, &mut report);
     check_primvars(mesh, &Sizes::of(mesh), &mut report);
     let authored = mesh.face_vertex_counts.len();
@@ -41,16 +44,36 @@ pub fn validate_mesh(path: &str, mesh: &mut Mesh, warnings: &mut Vec<Warning>) {
 /// Placements that cannot place are removed.
 pub fn validate_instancer(path: &str, instancer: &mut Instancer, warnings: &mut Vec<Warning>) {
     let total = instancer.transforms.len();
+    let colors = instancer.display_color.len();
+    let sane = instancer.display_color.iter().all(|color| is_sane(color));
+    if colors > 0 && (colors != total || !sane) {
+        let why = if sane { format!("{colors} colours for {total} instances") } else { "not finite".into() };
+        let message = format!("primvars:displayColor dropped: {why}; author one finite colour each");
+        Report::new(path, warnings).warn(message);
+        instancer.display_color = Array::default();
+    }
     let bad = instancer.transforms.iter().filter(|matrix| placement_fault(matrix).is_some()).count();
     if bad == 0 {
         return;
     }
-    let good: Vec<_> =
-        instancer.transforms.iter().filter(|matrix| placement_fault(matrix).is_none()).copied().collect();
-    instancer.transforms = good.into();
+    let good: Vec<usize> = (0..total).filter(|i| placement_fault(&instancer.transforms[*i]).is_none()).collect();
+    if !instancer.display_color.is_empty() {
+        instancer.display_color = good.iter().map(|i| instancer.display_color[*i]).collect::<Vec<_>>().into();
+    }
+    instancer.transforms = good.iter().map(|i| instancer.transforms[*i]).collect::<Vec<_>>().into();
     let why = "their transforms are singular or not finite";
     let message = format!("{bad} of {total} instances dropped: {why}; check positions, orientations and scales");
     Report::new(path, warnings).warn(message);
+}
+
+/// The tokens; creases and corners are checked against the edges where they are used.
+fn check_tags(mesh: &mut Mesh, report: &mut Report) {
+    let tags = &mut mesh.subdiv_tags;
+    report.token("interpolateBoundary", &mut tags.interpolate_boundary, &BOUNDARIES, "edgeAndCorner");
+    let linear = &mut tags.face_varying_linear_interpolation;
+    report.token("faceVaryingLinearInterpolation", linear, &LINEAR, "cornersPlus1");
+    let rule = &mut tags.triangle_subdivision_rule;
+    report.token("triangleSubdivisionRule", rule, &["catmullClark", "smooth"], "catmullClark");
 }
 
 /// Hole indices and subsets name faces that are there.

@@ -3,6 +3,7 @@
 use crate::{
     error::{Error, Result},
     flat::{AOVS, EXTRA_AOVS, GUIDE_AOVS, MAX_NORMALS, RenderSettings, WALKS},
+    subdivision::MAX_LEVEL,
 };
 
 /// Pixels per side: above it the AOVs of one image fill the memory of any machine.
@@ -49,6 +50,9 @@ impl RenderSettings {
         }
         if !(self.noise_threshold >= 0.0 && self.noise_threshold.is_finite()) {
             return refuse("noiseThreshold", self.noise_threshold, "a relative error, 0 for none");
+        }
+        if self.refine_level > MAX_LEVEL {
+            return refuse("refineLevel", self.refine_level, "0 to 8");
         }
         self.check_guiding()?;
         self.check_tokens()

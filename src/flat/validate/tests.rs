@@ -203,10 +203,18 @@ fn face_lists_and_placements() {
 
     let mut broken = IDENTITY;
     broken[3][0] = f64::NAN;
-    let mut instancer = Instancer { visible: true, transforms: vec![broken, IDENTITY, [[0.0; 4]; 4]].into() };
+    let mut instancer = Instancer {
+        visible: true,
+        transforms: vec![broken, IDENTITY, [[0.0; 4]; 4]].into(),
+        display_color: vec![[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]].into(),
+    };
     let warnings = messages(|warnings| validate_instancer("/tree", &mut instancer, warnings));
     assert!(warnings[0].starts_with("2 of 3 instances dropped"), "{warnings:?}");
     assert_eq!(instancer.transforms[..], [IDENTITY]);
+    assert_eq!(instancer.display_color[..], [[0.0, 1.0, 0.0]]);
+    instancer.display_color = vec![[f32::NAN; 3]].into();
+    assert!(messages(|warnings| validate_instancer("/tree", &mut instancer, warnings))[0].contains("not finite"));
+    assert!(instancer.display_color.is_empty());
 }
 
 #[test]

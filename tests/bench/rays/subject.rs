@@ -58,7 +58,8 @@ impl Subject {
             prim.instancer = "/instancer".into();
             let rows = |m: &Mat4| m.to_cols_array_2d().map(|row| row.map(f64::from));
             let transforms = Vec::from_iter(transforms.iter().map(rows)).into();
-            flat.instancers.insert("/instancer".into(), Instancer { visible: true, transforms });
+            flat.instancers
+                .insert("/instancer".into(), Instancer { transforms, visible: true, ..Instancer::default() });
         }
         flat.meshes.insert("/mesh".into(), prim);
         flat.cameras.insert("/camera".into(), flat::Camera::default());

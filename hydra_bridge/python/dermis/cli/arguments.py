@@ -10,11 +10,11 @@ from typing import TypeVar
 from .. import color
 from ..aovs import AOVS, EXTRA_AOVS, GUIDE_AOVS
 from . import progress
+from .settings import COMPLEXITIES
 
 WALKS = ("auto", "classical", "poe", "cp", "ii", "bono", "bill", "mixture")
 LATER_WALKS = ("vpg",)
 PURPOSES = ("default", "render", "proxy", "guide")
-COMPLEXITIES = ("low", "medium", "high", "veryhigh")
 IMAGE_EXTENSIONS = (".exr", *color.EXTENSIONS)
 
 Number = TypeVar("Number", int, float)
@@ -85,7 +85,10 @@ def add_view_arguments(parser: argparse.ArgumentParser) -> None:
         help="FrameSpec(s) of the time codes to operate on: 123, 101:105, 105:101, 101:109x2, 101:104x0.5",
     )
     parser.add_argument(
-        "--complexity", "-c", choices=COMPLEXITIES, help="level of refinement to use (default=low)"
+        "--complexity",
+        "-c",
+        choices=COMPLEXITIES,
+        help="level of refinement of subdivision surfaces (default=low: their cages): refineLevel 0, 1, 2, 3",
     )
     parser.add_argument(
         "--renderer", "-r", choices=("dermis",), help="Hydra renderer plugin; there is one here"

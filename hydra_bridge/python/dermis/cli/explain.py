@@ -52,12 +52,21 @@ def explanation(loaded: Any) -> str:
     lines = [f"camera: {loaded.camera or 'framed automatically'}", "on:", *whys(capabilities, True)]
     if report["media"]:
         lines += ["walks:", *(f"  {medium_line(medium)}" for medium in report["media"])]
+    if report["subdivision"]:
+        lines += ["subdivision:", *(f"  {surface_line(surface)}" for surface in report["subdivision"])]
     lines += ["off:", *whys(capabilities, False), *cost_lines(capabilities), "needs:"]
     lines += [f"  {name}: {format_value(value)}" for name, value in report["needs"].items()]
     warnings = [f"  {prim}: {message}" for prim, message in merge(loaded.warnings, dropped)]
     return "\n".join(
         [*lines, *(["dropped or replaced:", *warnings] if warnings else ["dropped or replaced: nothing"])]
     )
+
+
+def surface_line(surface: dict[str, Any]) -> str:
+    """What became of a subdivision surface."""
+    made = "its cage" if surface["level"] == 0 else f"level {surface['level']}"
+    faces, triangles = surface["cageFaces"], surface["triangles"]
+    return f"{surface['prim']}: {surface['scheme']}, {made}: {faces} faces to {triangles} triangles"
 
 
 def whys(capabilities: list[dict[str, Any]], on: bool) -> list[str]:

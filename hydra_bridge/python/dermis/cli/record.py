@@ -145,6 +145,7 @@ class Recorder:
                 loaded.delegate.set_settings(json.dumps(view.settings))
                 loaded.camera = view.camera
             loaded.delegate.commit()
+            self.say(*refinement_lines(json.loads(loaded.delegate.explain())["subdivision"]))
             shown = (number * len(loaded.views) + i) / len(loaded.views)
             with interrupt.deferred():
                 self.view(
@@ -236,6 +237,18 @@ class Recorder:
             if line not in self.said:
                 self.said.append(line)
                 print(line, flush=True)
+
+
+def refinement_lines(surfaces: list[dict[str, Any]]) -> list[str]:
+    """What was refined: a line per level."""
+    lines = []
+    for level in sorted({surface["level"] for surface in surfaces}):
+        triangles = [surface["triangles"] for surface in surfaces if surface["level"] == level]
+        hint = " (their cages; --complexity refines them)" if level == 0 else ""
+        lines.append(
+            f"Subdivision surfaces at level {level}: {len(triangles)}, {sum(triangles)} triangles{hint}"
+        )
+    return lines
 
 
 #: Seconds between checkpoints where only `--resume` is typed.

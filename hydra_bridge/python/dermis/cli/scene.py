@@ -28,7 +28,6 @@ STAGE_FLAGS = (
     "sessionLayerPath",
     "frames",
     "defaultTime",
-    "complexity",
     "rpPrimPath",
     "rsPrimPath",
     "enableDomeLightVisibility",
@@ -124,7 +123,6 @@ class Stage:
         self.warnings: Warnings = []
         self.settings_path = self._settings_path()
         self.purposes = self._purposes()
-        self._note_refinement()
         self._opening = time.monotonic() - began
         self._delegate: Delegate | None = None
         self._previous: Any = None
@@ -182,12 +180,6 @@ class Stage:
         path = self.settings_path
         prim = self.stage.GetPrimAtPath(path) if Sdf.Path.IsValidPathString(path) else None
         return prim if prim and prim.IsA(UsdRender.Settings) else None
-
-    def _note_refinement(self) -> None:
-        level = self.args.complexity or "low"
-        if level != "low":
-            message = f"--complexity {level}: subdivision is not available in this version; meshes render as authored"
-            self.warnings.append(("/", message))
 
     def _settle_view(
         self, flat: Any, when: Usd.TimeCode, loaded: Loaded, authored: Settings, outputs: list[Output]

@@ -23,6 +23,9 @@ FLAG_SETTINGS = {
     "aovs": "aovs",
 }
 
+#: usdrecord's words for `refineLevel`, in UsdImaging's order: 0 to 3.
+COMPLEXITIES = ("low", "medium", "high", "veryhigh")
+
 #: Settings with a rule of their own: `--camera`, `--imageWidth`, `--imageHeight`.
 VIEW_SETTINGS = ("camera", "resolution")
 
@@ -63,6 +66,8 @@ def typed_settings(args: argparse.Namespace, defaults: Mapping[str, Any]) -> Set
         for flag, setting in FLAG_SETTINGS.items()
         if getattr(args, flag, None) is not None
     }
+    if getattr(args, "complexity", None):
+        typed["refineLevel"] = COMPLEXITIES.index(args.complexity)
     for assignment in getattr(args, "assignments", None) or []:
         name, value = parse_assignment(assignment, defaults)
         if typed.get(name, value) != value:

@@ -78,7 +78,7 @@ def export(flat: FlatStage, folder: Path) -> Exported:
 
 def mesh(flat: FlatStage, path: str, stem: Path, exported: Exported) -> Fields:
     prim = flat.prims[path]
-    triangles = triangles_of(prim, path)
+    triangles = triangles_of(prim, path, flat.settings.get("refineLevel", 0))
     files = {"points": triangles.points, "corners": triangles.corners}
     if triangles.normals is not None:
         files["normals"] = triangles.normals

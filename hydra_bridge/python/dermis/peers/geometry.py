@@ -30,8 +30,11 @@ class Triangles:
         return bool((cosines[np.any(faces != 0.0, axis=1)] < 1.0 - 1e-4).any())
 
 
-def triangles_of(prim: Fields, path: str) -> Triangles:
-    """Polygons become fans, which needs them convex. Raises ExportError."""
+def triangles_of(prim: Fields, path: str, refine_level: int = 0) -> Triangles:
+    """Polygons become fans, which needs them convex. Subdivision surfaces are exported as cages, so `refine_level`,
+    that of the settings, has to be 0 for them. Raises ExportError."""
+    scheme, level = prim["subdivisionScheme"], prim.get("refineLevel", refine_level)
+    require(scheme == "none" or level == 0, path, "refineLevel", level)
     require(not prim.get("instancer"), path, "instancer", prim.get("instancer"))
     for name in ("geomSubsets", "holeIndices"):
         values = prim.get(name)
@@ -42,9 +45,9 @@ def triangles_of(prim: Fields, path: str) -> Triangles:
     if (prim["orientation"] == "leftHanded") != (np.linalg.det(linear) < 0.0):
         slots = slots[:, ::-1]
     corners = prim["faceVertexIndices"][slots]
-    normals = prim.get("normals") if prim["subdivisionScheme"] == "none" else None
+    normals = prim.get("normals") if scheme == "none" else None
     if normals is None:
-        smooth = prim["subdivisionScheme"] != "none"
+        smooth = scheme in ("catmullClark", "loop")
         return Triangles(single(points), corners, cage_normals(points, corners) if smooth else None)
     # A normal is a plane's: the inverse transpose; its length does not matter.
     values = normals["values"] @ np.linalg.inv(linear)

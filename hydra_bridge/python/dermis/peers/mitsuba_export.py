@@ -123,7 +123,7 @@ def sensor(view: View) -> Fields:
 def mesh(flat: FlatStage, path: str, file: Path, exported: Exported) -> Fields:
     """Triangles in `file`, their surface, and the medium within."""
     prim = flat.prims[path]
-    triangles = triangles_of(prim, path)
+    triangles = triangles_of(prim, path, flat.settings.get("refineLevel", 0))
     write_ply(file, triangles)
     material, where = surface_of(flat, prim)
     medium = medium_of(material, flat.settings.get("subsurfaceBoundary", "auto"))

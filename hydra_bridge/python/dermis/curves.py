@@ -1,0 +1,269 @@
+"""BasisCurves as meshes: closed round tubes, or ribbons where normals are authored.
+
+The polygon of a tube has the circumference of its circle, so that areas agree; its radius is within 0.3 % outwards and
+0.6 % inwards at 24 sides, 1.2 % and 2.3 % at 12, 4.7 % and 9.3 % at 6. Cubic segments are cut until chords stay
+within CHORD_ERROR widths of the curve, or there are MOST_PIECES.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Usd, UsdGeom
+
+from .reading import Reader
+from .spline import Floats, Samples, Spline, frames, unit
+
+SIDES = ((20_000, 24), (200_000, 12))
+"""(samples at most, sides): where there are many, each is thin."""
+FEWEST_SIDES = 6
+
+CHORD_ERROR = 0.05
+"""Distance of a chord from its curve, over the largest width of the segment."""
+TWIST = np.radians(10.0)
+"""Turn of a ribbon's normal in one piece."""
+MOST_PIECES = 32
+"""Of one cubic segment."""
+
+Surface = dict[str, Any]
+Attribute = tuple[str, Floats]
+"""Interpolation and values."""
+
+
+class Tessellation:
+    """Curves as mesh: `surface` has the fields of a Mesh but primvars; `point_sample` and `face_curve` say which
+    sample a point belongs to, and which curve a face."""
+
+    def __init__(self, spline: Spline, samples: Samples) -> None:
+        self.spline, self.samples = spline, samples
+        self.surface: Surface = {}
+        self.point_sample = self.face_curve = np.zeros(0, np.int32)
+
+    def primvar(self, interpolation: str, values: NDArray) -> dict[str, Any]:
+        """Values on the curves as primvar of the mesh."""
+        match interpolation:
+            case "constant":
+                return {"interpolation": "constant", "values": single(values)}
+            case "uniform":
+                return {"interpolation": "uniform", "values": single(values), "indices": self.face_curve}
+        values = self.samples.at(values.astype(np.float64), interpolation)
+        return {"interpolation": "vertex", "values": single(values), "indices": self.point_sample}
+
+
+def tessellate_curves(prim: Usd.Prim, reader: Reader) -> Tessellation | None:
+    """None where there is nothing to render, which was said."""
+    spline = read_spline(prim, reader)
+    if spline is None:
+        return None
+    widths = read_attribute(prim, "widths", 1, spline, reader)
+    if widths is None:
+        reader.warn(prim, "widths: none that can be used; 1 is")
+        widths = ("constant", np.ones(1))
+    normals = read_attribute(prim, "normals", 3, spline, reader)
+    samples = spline.sampled(pieces(spline, widths, normals))
+    width = np.maximum(samples.at(widths[1], widths[0]), 0.0)
+    if not (width > 0.0).any():
+        reader.warn(prim, "widths: none is above 0; the curves are not rendered")
+        return None
+    made = Tessellation(spline, samples)
+    if normals is None:
+        tubes(made, width)
+    else:
+        ribbons(made, width, samples.at(normals[1], normals[0]))
+    made.surface |= {"orientation": "rightHanded", "subdivisionScheme": "none"}
+    return made
+
+
+def read_spline(prim: Usd.Prim, reader: Reader) -> Spline | None:
+    points = reader.array(prim, "points", np.float32, 3)
+    counts = reader.array(prim, "curveVertexCounts", np.int32, 1)
+    for name, array in (("points", points), ("curveVertexCounts", counts)):
+        if array is None or not len(array):
+            reader.warn(prim, f"{name}: empty; the curves are not rendered")
+            return None
+    if (counts < 0).any() or counts.sum() != len(points):
+        message = f"curveVertexCounts: their sum is {counts.sum()}, there are {len(points)} points"
+        reader.warn(prim, message + "; the curves are not rendered")
+        return None
+    if not np.isfinite(points).all():
+        reader.warn(prim, "points: not finite; the curves are not rendered")
+        return None
+    basis = token(prim, "basis", ("bezier", "bspline", "catmullRom"), reader)
+    basis = basis if token(prim, "type", ("cubic", "linear"), reader) == "cubic" else "linear"
+    wrap = token(prim, "wrap", ("nonperiodic", "periodic", "pinned"), reader)
+    spline = Spline(points.astype(np.float64), counts, basis, wrap)
+    if bad := int(spline.bad.sum()):
+        message = (
+            f"curveVertexCounts: {bad} of {len(counts)} curves have a number of points that {wrap} {basis} "
+        )
+        reader.warn(prim, message + "curves cannot have; they are not rendered")
+    return spline if len(spline.curve) else None
+
+
+def token(prim: Usd.Prim, name: str, tokens: tuple[str, ...], reader: Reader) -> str:
+    value = reader.value(prim, name, tokens[0])
+    if value in tokens:
+        return value
+    reader.warn(prim, f"{name}: '{value}' is not supported; '{tokens[0]}' is used")
+    return tokens[0]
+
+
+def read_attribute(
+    prim: Usd.Prim, name: str, components: int, spline: Spline, reader: Reader
+) -> Attribute | None:
+    """`primvars:NAME`, else the attribute NAME; None where neither is there, or it does not fit."""
+    primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar(name)
+    if primvar and primvar.HasAuthoredValue():
+        return read_primvar(prim, primvar, components, spline, reader)
+    schema = UsdGeom.Curves(prim)
+    interpolation = schema.GetWidthsInterpolation() if name == "widths" else schema.GetNormalsInterpolation()
+    return fitting(
+        prim, name, interpolation, reader.array(prim, name, np.float32, components), spline, reader
+    )
+
+
+def read_primvar(
+    prim: Usd.Prim, primvar: UsdGeom.Primvar, components: int, spline: Spline, reader: Reader
+) -> Attribute | None:
+    name, value = str(primvar.GetName()), primvar.ComputeFlattened(reader.time)
+    if components == 1 and np.ndim(value) == 0 and value is not None and not isinstance(value, str):
+        value = [value]
+    values = reader.as_array(prim, name, value, np.float32, components)
+    return fitting(prim, name, primvar.GetInterpolation(), values, spline, reader)
+
+
+def fitting(
+    prim: Usd.Prim, name: str, interpolation: str, values: Any, spline: Spline, reader: Reader
+) -> Attribute | None:
+    """The attribute, or None and a warning where its length does not fit the curves."""
+    if values is None or not len(values):
+        return None
+    expected = spline.expected(interpolation)
+    if expected is None:
+        problem = f"interpolation '{interpolation}' is unknown"
+    elif len(values) != expected:
+        problem = f"{len(values)} values where {interpolation} interpolation needs {expected}"
+    elif not np.isfinite(values).all():
+        problem = "not finite"
+    else:
+        return interpolation, values.astype(np.float64)
+    reader.warn(prim, f"{name}: {problem}; it is ignored")
+    return None
+
+
+def pieces(spline: Spline, widths: Attribute, normals: Attribute | None) -> NDArray[np.int64]:
+    """Pieces of each segment: a chord is |C''| h^2 / 8 away from its curve; a ribbon turns by TWIST at most."""
+    number = len(spline.curve)
+    at = [Samples(spline, np.arange(number), np.full(number, u)) for u in (0.0, 0.5, 1.0)]
+    width = np.max([samples.at(widths[1], widths[0]) for samples in at], axis=0)
+    # A width of nothing wants no pieces beyond the most.
+    wanted = np.sqrt(spline.bends() / (8.0 * CHORD_ERROR * np.maximum(width, 1e-30)))
+    if normals is not None:
+        a, b = (unit(samples.at(normals[1], normals[0])) for samples in (at[0], at[2]))
+        turn = np.arccos(np.clip(np.sum(a * b, axis=1), -1.0, 1.0))
+        wanted = np.maximum(wanted, turn / TWIST)
+    return np.clip(np.ceil(wanted), 1, MOST_PIECES).astype(np.int64)
+
+
+def steps(samples: Samples) -> tuple[NDArray, NDArray]:
+    """Pairs of neighbours: samples that a piece of curve joins."""
+    following = np.arange(1, len(samples.u) + 1)
+    last = samples.first + samples.count - 1
+    if samples.spline.closed:
+        following[last] = samples.first
+        return np.arange(len(following)), following
+    here = np.delete(np.arange(len(following)), last)
+    return here, following[here]
+
+
+def tubes(made: Tessellation, width: Floats) -> None:
+    samples = made.samples
+    points, tangents = samples.along(made.spline.points), samples.tangents()
+    across = frames(points, tangents, samples)
+    sides = next((sides for most, sides in SIDES if len(points) <= most), FEWEST_SIDES)
+    angle = 2.0 * np.pi * np.arange(sides) / sides
+    radial = (
+        np.cos(angle)[:, None] * across[:, None]
+        + np.sin(angle)[:, None] * np.cross(tangents, across)[:, None]
+    )
+    # The circumference of the polygon is that of the circle.
+    radius = 0.5 * width * (np.pi / sides) / np.sin(np.pi / sides)
+    rings = points[:, None] + radius[:, None, None] * radial
+    here, there = steps(samples)
+    shown = (width[here] > 0.0) | (width[there] > 0.0)
+    here, there = here[shown], there[shown]
+    j = np.arange(sides)
+    k = (j + 1) % sides
+    a, b = sides * here[:, None], sides * there[:, None]
+    quads = np.stack([a + j, a + k, b + k, b + j], axis=2).reshape(-1, 4)
+    starts, stops = caps(samples, width)
+    discs = np.concatenate([sides * starts[:, None] + j[::-1], sides * stops[:, None] + j])
+    slopes = radial - (slope(points, radius, here, there)[:, None] * tangents)[:, None]
+    cap_normals = np.concatenate([-tangents[starts], tangents[stops]])
+    made.point_sample = np.repeat(np.arange(len(points), dtype=np.int32), sides)
+    curve = samples.curve
+    made.face_curve = np.concatenate([np.repeat(curve[here], sides), curve[starts], curve[stops]]).astype(
+        np.int32
+    )
+    caps_at = len(points) * sides + np.arange(len(discs))
+    made.surface = {
+        "points": single(rings.reshape(-1, 3)),
+        "faceVertexCounts": np.concatenate([np.full(len(quads), 4), np.full(len(discs), sides)]).astype(
+            np.int32
+        ),
+        "faceVertexIndices": np.concatenate([quads.ravel(), discs.ravel()]).astype(np.int32),
+        "normals": {
+            "interpolation": "faceVarying",
+            "values": single(np.concatenate([unit(slopes.reshape(-1, 3)), cap_normals])),
+            "indices": np.concatenate([quads.ravel(), np.repeat(caps_at, sides)]).astype(np.int32),
+        },
+    }
+
+
+def caps(samples: Samples, width: Floats) -> tuple[NDArray, NDArray]:
+    """First and last samples of open curves, where they have any width."""
+    if samples.spline.closed:
+        none = np.zeros(0, np.int64)
+        return none, none
+    starts, stops = samples.first, samples.first + samples.count - 1
+    return starts[width[starts] > 0.0], stops[width[stops] > 0.0]
+
+
+def slope(points: Floats, radius: Floats, here: NDArray, there: NDArray) -> Floats:
+    """How fast the radius grows along the curve at each sample: the mean of the pieces beside it."""
+    length = np.linalg.norm(points[there] - points[here], axis=1)
+    growth = (radius[there] - radius[here]) / np.where(length > 0.0, length, 1.0)
+    total, number = np.zeros(len(points)), np.zeros(len(points))
+    for end in (here, there):
+        np.add.at(total, end, np.where(length > 0.0, growth, 0.0))
+        np.add.at(number, end, 1.0)
+    return total / np.maximum(number, 1.0)
+
+
+def ribbons(made: Tessellation, width: Floats, normals: Floats) -> None:
+    """Flat, facing along the normals, which are turned square to the curve."""
+    samples = made.samples
+    points, tangents = samples.along(made.spline.points), samples.tangents()
+    across = unit(np.cross(tangents, normals))
+    across = np.where(across.any(axis=1, keepdims=True), across, frames(points, tangents, samples))
+    half = 0.5 * width[:, None] * across
+    here, there = steps(samples)
+    shown = (width[here] > 0.0) | (width[there] > 0.0)
+    a, b = 2 * here[shown], 2 * there[shown]
+    made.point_sample = np.repeat(np.arange(len(points), dtype=np.int32), 2)
+    made.face_curve = samples.curve[here[shown]].astype(np.int32)
+    made.surface = {
+        "points": single(np.stack([points - half, points + half], axis=1).reshape(-1, 3)),
+        "faceVertexCounts": np.full(len(a), 4, np.int32),
+        "faceVertexIndices": np.stack([a, a + 1, b + 1, b], axis=1).ravel().astype(np.int32),
+        "normals": {
+            "interpolation": "vertex",
+            "values": single(np.cross(across, tangents)),
+            "indices": made.point_sample,
+        },
+        "doubleSided": True,
+    }
+
+
+def single(values: NDArray) -> NDArray[np.float32]:
+    return np.ascontiguousarray(values, np.float32)
