@@ -346,6 +346,7 @@ ALL, FULL, PREVIEW = (
         (ALL + FULL, '"preview", ""', "/All"),
         (ALL, '"preview", "full"', ""),
         (ALL + PREVIEW, '""', "/All"),
+        (ALL + PREVIEW, '"full", "allPurpose"', "/All"),
     ],
 )
 def test_material_binding_purposes(flat, bindings, purposes, material):

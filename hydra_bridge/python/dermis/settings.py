@@ -127,10 +127,12 @@ def binding_purposes(prim: Usd.Prim | None, reader: Reader) -> tuple[str, ...]:
     purposes = reader.tokens(prim, "materialBindingPurposes") if prim else None
     if purposes is None:
         return ("full", "")
-    for purpose in purposes:
-        if purpose not in ("full", "preview", ""):
-            reader.warn(prim, f"materialBindingPurposes: '{purpose}' is no material purpose; ignored")
-    return tuple(dict.fromkeys(purpose for purpose in purposes if purpose in ("full", "preview", "")))
+    # Stages are met that have the name of UsdShade's token in place of its text, which is empty.
+    purposes = ["" if purpose == "allPurpose" else purpose for purpose in purposes]
+    known = ("full", "preview", "")
+    for purpose in (purpose for purpose in purposes if purpose not in known):
+        reader.warn(prim, f"materialBindingPurposes: '{purpose}' is no material purpose; ignored")
+    return tuple(dict.fromkeys(purpose for purpose in purposes if purpose in known))
 
 
 def authored(prim: Usd.Prim, name: str) -> bool:
