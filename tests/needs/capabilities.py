@@ -131,6 +131,15 @@ def instances(places: list[tuple[float, float, float]], name: str = "Many") -> s
 """
 
 
+CREASE = "int[] creaseIndices = [0, 1]\n int[] creaseLengths = [2]\n float[] creaseSharpnesses = [2]"
+
+
+def refined(level: int) -> Stage:
+    """With a subdivision surface in place of some balls."""
+    surface = copies(1).replace('subdivisionScheme = "none"', 'subdivisionScheme = "loop"')
+    return setting(lit(surface), "--set", f"refineLevel={level}")
+
+
 IMAGE = "asset inputs:texture:file = @image.hdr@"
 """`driver.flatten` writes it beside the stage."""
 DOME = "float inputs:intensity = 0.5"
@@ -269,6 +278,16 @@ CAPABILITIES = (
             "a mesh",
         ),
         Compared("16 instances", lit(instances(scattered(16))), lit(copies(16)), "16 meshes"),
+    ),
+    Capability(
+        "subdivision",
+        Compared(
+            "a refine level, and a crease, of a mesh that is none",
+            Stage(ball=CREASE, flags=(*PLAIN.flags, "--set", "refineLevel=2")),
+            PLAIN,
+            "a mesh",
+        ),
+        Compared("a surface refined twice", refined(2), refined(0), "its cage"),
     ),
     Capability(
         "mesh lights",
