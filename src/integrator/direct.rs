@@ -112,7 +112,8 @@ impl Path<'_> {
             return;
         }
         if matches!(self.previous, Previous::Camera) {
-            self.sample.alpha = 1.0;
+            self.sample.alpha += self.seen;
+            self.seen = 0.0;
         }
         self.add(light);
     }

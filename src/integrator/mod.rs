@@ -13,12 +13,12 @@ mod watch;
 pub use log::WalkLog;
 pub use probe::probe;
 
-use crate::bsdf::{Boundary, Event, Side};
+use crate::bsdf::{Boundary, BsdfSample, Event, Side, Surface};
 use crate::camera::CameraRay;
 use crate::film::{FirstHit, Sample};
 use crate::guiding::{Guide, LightsAt};
 use crate::interaction::Interaction;
-use crate::math::Rgb;
+use crate::math::{Rgb, mean};
 use crate::sampling::sampler::Sampler;
 use crate::scene::{Coating, Origin, Scene, SurfaceHit};
 use crate::subsurface::steps::WalkStats;
@@ -128,6 +128,8 @@ struct Path<'a> {
     crossings: u32,
     bucket: Bucket,
     previous: Previous,
+    /// Share of the pixel that nothing has held up yet, over the probability of having come here; 0 once something has.
+    seen: f32,
     inside: Nest,
     cone: Cone,
     // The next segment.
@@ -177,6 +179,7 @@ impl<'a> Path<'a> {
             crossings: 0,
             bucket: Bucket::Direct,
             previous: Previous::Camera,
+            seen: 1.0,
             inside: Nest::OUTSIDE,
             cone: Cone::WIDE,
             o: Vec3::ZERO,
@@ -219,10 +222,7 @@ impl Path<'_> {
         let surface = recolored.as_ref().unwrap_or(surface);
         let bsdf = surface.bsdf(si.local(si.wo), si.side);
         let chosen = bsdf.sample(sampler.next_1d(), sampler.next_2d());
-        let passes = matches!(&chosen, Some(s) if s.event == Event::PassThrough);
-        if !passes {
-            self.record_first_hit(si, surface.albedo());
-        }
+        self.record_seen(si, surface, chosen.as_ref());
         if self.depth > 0 && self.bucket == Bucket::Direct {
             self.bucket = Bucket::Indirect;
         }
@@ -334,13 +334,21 @@ impl Path<'_> {
         Some(())
     }
 
-    fn record_first_hit(&mut self, si: &Interaction, albedo: Rgb) {
-        if self.depth > 0 || self.sample.alpha > 0.0 {
+    /// What the camera sees of a surface: alpha and albedo by what the surface holds up, whatever lobe was `chosen`, the rest
+    /// by the first sample that does not pass.
+    fn record_seen(&mut self, si: &Interaction, surface: &Surface, chosen: Option<&BsdfSample>) {
+        if self.seen == 0.0 {
             return;
         }
+        let held = self.seen * (1.0 - mean(surface.transparency(si.local(si.wo).z.abs())));
+        self.sample.alpha += held;
+        self.sample.albedo += held * surface.albedo();
+        if let Some(passed) = chosen.filter(|chosen| chosen.event == Event::PassThrough) {
+            self.seen *= mean(passed.f / passed.pdf);
+            return;
+        }
+        self.seen = 0.0;
         let scene = self.scene;
-        self.sample.alpha = 1.0;
-        self.sample.albedo = albedo;
         self.sample.first = FirstHit {
             depth: scene.camera.depth(si.p),
             normal: si.frame.n,
