@@ -38,14 +38,14 @@ against_classical = partial(Compared, without=CLASSICAL, against="a grey medium,
 SMOOTH = replace(CLASSICAL, look=medium("dielectric", more="float inputs:roughness = 0"))
 
 COLORED = f"""
-    color3f[] primvars:displayColor = {[(0.5, 0.5, 0.5)] * FACES} (interpolation = "uniform")
+    color3f[] primvars:tint = {[(0.5, 0.5, 0.5)] * FACES} (interpolation = "uniform")
 """
 DRIVEN = """
     color3f inputs:diffuseColor.connect = <Reader.outputs:result>
     def Shader "Reader"
     {
         uniform token info:id = "UsdPrimvarReader_float3"
-        string inputs:varname = "displayColor"
+        string inputs:varname = "tint"
         float3 outputs:result
     }
 """

@@ -108,11 +108,12 @@ def test_accepted_without_effect(stage, tmp_path):
         np.testing.assert_array_equal(record(file, tmp_path, *flags), plain)
 
 
-def test_complexity_says_what_it_does_not_do(stage, tmp_path, capsys):
-    assert (
-        run("record", stage(CARD, CAMERA, DOME), tmp_path / "a.exr", *SMALL, "--complexity", "veryhigh") == 0
+def test_complexity_refines(stage, tmp_path, capsys):
+    card = stage(
+        CARD.replace('subdivisionScheme = "none"', 'subdivisionScheme = "catmullClark"'), CAMERA, DOME
     )
-    assert "--complexity veryhigh" in capsys.readouterr().err
+    assert run("record", card, tmp_path / "a.exr", *SMALL, "--complexity", "veryhigh") == 0
+    assert "level 3: 1, 128 triangles" in capsys.readouterr().out
     assert run("record", "s.usda", "a.exr", "--complexity", "highest") == 2
     assert re.search("choose from '?low'?, '?medium'?, '?high'?, '?veryhigh'?", capsys.readouterr().err)
 
