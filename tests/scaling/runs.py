@@ -32,7 +32,7 @@ for prim in stage.Traverse():
 class Row:
     axis: str
     size: int
-    #: Microseconds of one thread per sample of a pixel, training included.
+    #: Microseconds per sample of a pixel, training included.
     sample_us: float
     #: Seconds from the command's start until the first sample, and of that: trees and tables.
     start_s: float
@@ -75,7 +75,7 @@ def all_rows(chosen: list[str], largest: int, folder: Path) -> Iterator[Row]:
 def row(axis: str, size: int, stage: Path, side: int, threads: int) -> Row:
     stats, seconds = render(stage, side, SAMPLES, threads)
     parts = stats["seconds"]
-    rendering = parts["render"] + parts["train"]
+    rendering = parts["render"]  # training included
     return Row(
         axis,
         size,

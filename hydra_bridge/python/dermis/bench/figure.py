@@ -8,6 +8,7 @@ from ..color import DisplayTransform, display_pixels
 from .plots import COLORS, color_scale, new_figure, save
 from .results import Cell, CellKey, Row
 from .suite import Suite
+from .table import ratio_text
 
 #: Inches per picture.
 SIDE = 1.9
@@ -88,5 +89,5 @@ def empty_sheet(shapes: Mapping[str, tuple[int, int]], labels: Sequence[str]) ->
 
 
 def caption(row: Row) -> str:
-    ratios = [f"{ratio.mean:.2f}" for ratio in (row.ratio, row.ratio_trimmed) if ratio is not None]
+    ratios = [ratio_text(ratio.mean) for ratio in (row.ratio, row.ratio_trimmed) if ratio is not None]
     return f"{row.relmse.mean:.2e}" + (f"  ×{' / '.join(ratios)}" if ratios else "")

@@ -154,7 +154,8 @@ class Sheet:
         known = "its own noise" if own is not None else "its own noise is not known"
         pictures = [self.picture("reference", known, self.displayed(first, first.reference), own)]
         for row, cell in shown:
-            words = f"relMSE {row.relmse.mean:.2e}" + (f", ratio {row.ratio.mean:.2f}" if row.ratio else "")
+            ratio = f", ratio {table.ratio_text(row.ratio.mean)}" if row.ratio else ""
+            words = f"relMSE {row.relmse.mean:.2e}{ratio}"
             image = self.displayed(cell, cell.image)
             pictures.append(
                 self.picture(row.method, words, image, measured_only(cell.error_map, cell.mask, scale))

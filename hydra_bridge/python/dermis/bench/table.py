@@ -141,7 +141,12 @@ def with_share(number: Number, form: str) -> str:
 def with_error(number: Number | None) -> str:
     if number is None:
         return "-"
-    return f"{number.mean:.2f}" + (f" ±{number.error:.2f}" if number.error is not None else "")
+    return ratio_text(number.mean) + (f" ±{ratio_text(number.error)}" if number.error is not None else "")
+
+
+def ratio_text(ratio: float) -> str:
+    """Two decimals; two digits where these would say little."""
+    return f"{ratio:.2f}" if abs(ratio) >= 0.1 or ratio == 0.0 else f"{ratio:.2g}"
 
 
 def markdown(table: Table) -> str:
