@@ -67,10 +67,11 @@ def resolving(
     size: int = 24,
     samples: int = 64,
     alike: bool = True,
+    budget: float = BUDGET,
     **settings: Any,
 ) -> Picture:
     """A render with the samples that it takes to see a deviation of `RESOLUTION` of `expected` (by channel, or of the
-    second): those of a first one, if they do, else of another one with another seed, as long as `BUDGET` allows."""
+    second): those of a first one, if they do, else of another one with another seed, as long as `budget` allows."""
     pilot = render(prims, size, samples, **settings)
     wanted = expected if isinstance(expected, Mapping) else {1: expected}
     # Four fifths, since errors are estimates.
@@ -83,7 +84,7 @@ def resolving(
     if more <= 1.0 and not blind:
         return pilot
     more = math.inf if blind else more
-    affordable = max(1.0, BUDGET / max(pilot.stats["rays"]["total"], 1))
+    affordable = max(1.0, budget / max(pilot.stats["rays"]["total"], 1))
     count = min(1 << 20, math.ceil(samples * min(more, affordable)))
     return render(prims, size, count, seed=1, **settings)
 
