@@ -88,7 +88,9 @@ pub fn plans(scene: &Scene, settings: &RenderSettings) -> Vec<Option<Plan>> {
 /// to a collision straight, and each of theirs would cost a sum over techniques.
 fn bends(scene: &Scene, settings: &RenderSettings, coating: &Coating, plan: &Plan) -> bool {
     let scatters = coating.interior.is_some_and(|interior| interior.medium.scatters());
-    let smooth = scatters && coating.surface.smooth_interface().is_some();
+    // The search knows one medium, one index and the mesh's own normals: where a network drives them, chance has the light.
+    let constant = coating.driven.is_none();
+    let smooth = scatters && constant && coating.surface.smooth_interface().is_some();
     match settings.refracted_light.as_str() {
         "off" => false,
         "on" => smooth,

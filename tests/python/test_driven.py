@@ -418,6 +418,18 @@ def test_driven_media_with_a_phase_function_are_walked_classically_and_said(tmp_
     assert medium["walk"] == "mixture" and "medium of its entry" in medium["why"]
 
 
+def test_driven_boundaries_leave_refracted_light_to_chance(tmp_path):
+    """The search knows constants and the mesh's own normals."""
+    smooth = ';token inputs:subsurfaceBoundary = "dielectric"'
+    driven = spotted(tmp_path, smooth, subsurfaceColor=COLORS).replace("roughness = 0.6", "roughness = 0")
+    constant = look("float inputs:subsurface = 1;float inputs:roughness = 0" + smooth)
+    for text, left in ((driven, True), (constant, False)):
+        pictures = [
+            body(text + LAMP, walk="classical", refractedLight=word).color for word in ("off", "auto")
+        ]
+        assert np.array_equal(*pictures) == left
+
+
 def test_same_image_for_any_number_of_threads(tmp_path):
     text = spotted(tmp_path, subsurfaceColor=COLORS, subsurfaceRadius=RADII) + LAMP
     images = [body(text, threads=threads, walk="mixture") for threads in (1, 3)]
