@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pxr import Sdf
 
 from dermis.cli import main
 
@@ -75,6 +76,14 @@ def stage_text(*prims: str, metadata: str = "", outside: str = "") -> str:
     """A stage with the given prims below /World."""
     body = "\n".join(prims)
     return f'#usda 1.0\n(\n    upAxis = "Y"\n    {metadata}\n)\ndef Xform "World"\n{{\n{body}\n}}\n{outside}'
+
+
+def write_stage(file: Path, text: str) -> str:
+    """USD keeps a layer open by its name while anything holds it: what was read before is read again."""
+    file.write_text(text)
+    if layer := Sdf.Layer.Find(str(file)):
+        layer.Reload(True)
+    return str(file)
 
 
 def run(*arguments: str | Path) -> int:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import write_stage
 from PIL import Image
 
 pytest.importorskip("dermis._core", reason="the Rust core is not built")
@@ -79,8 +80,7 @@ def stage(tmp_path):
         text = (
             f'#usda 1.0\n(\n    upAxis = "Y"\n    {metadata}\n)\ndef Xform "World"\n{{\n{body}\n}}\n{outside}'
         )
-        (tmp_path / name).write_text(text)
-        return str(tmp_path / name)
+        return write_stage(tmp_path / name, text)
 
     return write
 

@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("dermis._core", reason="the Rust core is not built")
 
-from command_line import CAMERA, CARD, DOME, channels, names, read_exr, run, stage_text
+from command_line import CAMERA, CARD, DOME, channels, names, read_exr, run, stage_text, write_stage
 
 from dermis.products import flatten_products
 from dermis.reading import Reader, Report
@@ -50,8 +50,7 @@ def stage(tmp_path):
         text = stage_text(
             CARD, CAMERA, DOME, prims, metadata=METADATA, outside=settings(*products, more=more)
         )
-        (tmp_path / "stage.usda").write_text(text)
-        return str(tmp_path / "stage.usda")
+        return write_stage(tmp_path / "stage.usda", text)
 
     return write
 

@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip("dermis._core", reason="the Rust core is not built")
 
-from command_line import CAMERA, CARD, DOME, channels, names, read_exr, run, stage_text
+from command_line import CAMERA, CARD, DOME, channels, names, read_exr, run, stage_text, write_stage
 
 from dermis.cli import build_parser
 
@@ -41,8 +41,7 @@ SMALL = ("--samples", "2", "-w", "16", "--aov", "primId")
 @pytest.fixture
 def stage(tmp_path):
     def write(*prims: str, metadata: str = "", outside: str = "") -> str:
-        (tmp_path / "s.usda").write_text(stage_text(*prims, metadata=metadata, outside=outside))
-        return str(tmp_path / "s.usda")
+        return write_stage(tmp_path / "s.usda", stage_text(*prims, metadata=metadata, outside=outside))
 
     return write
 
