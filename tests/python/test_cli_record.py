@@ -10,42 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import write_stage
+from command_line import CAMERA, CARD, DOME, read_exr, run, write_stage
 from PIL import Image
 
 pytest.importorskip("dermis._core", reason="the Rust core is not built")
 
 from dermis import render
-from dermis.cli import main
-
-CARD = """
-    def Mesh "Card"
-    {
-        int[] faceVertexCounts = [4]
-        int[] faceVertexIndices = [0, 1, 2, 3]
-        point3f[] points = [(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)]
-        color3f[] primvars:displayColor = [(1, 1, 1)]
-        uniform token subdivisionScheme = "none"
-    }
-"""
-
-CAMERA = """
-    def Camera "main_cam"
-    {
-        float horizontalAperture = 20
-        float verticalAperture = 20
-        float focalLength = 50
-        double3 xformOp:translate = (0, 0, 10)
-        uniform token[] xformOpOrder = ["xformOp:translate"]
-    }
-"""
-
-DOME = """
-    def DomeLight "Dome"
-    {
-        float inputs:intensity = 1
-    }
-"""
 
 MOVING_LIGHT = """
     def DistantLight "Sun"
@@ -83,22 +53,6 @@ def stage(tmp_path):
         return write_stage(tmp_path / name, text)
 
     return write
-
-
-def run(*arguments: str | Path) -> int:
-    """Exit code of `dermis ARGUMENTS`."""
-    try:
-        return main([str(argument) for argument in arguments])
-    except SystemExit as leave:
-        return leave.code
-
-
-def read_exr(file: Path):
-    """The image's specification and its float pixels (height, width, channels)."""
-    oiio = pytest.importorskip("OpenImageIO")
-    image = oiio.ImageBuf(str(file))
-    assert not image.has_error, image.geterror()
-    return image.spec(), image.get_pixels(oiio.FLOAT)
 
 
 def names(folder: Path) -> list[str]:
