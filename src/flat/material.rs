@@ -26,11 +26,21 @@ impl Material {
         }
     }
 
-    pub fn network_mut(&mut self) -> &mut Network {
+    /// Its only input is `displacement`: the way along the normal, object units. Empty: none.
+    pub fn displacement(&self) -> &Network {
         match self {
-            Self::UsdPreviewSurface(m) => &mut m.network,
-            Self::OpenPbr(m) => &mut m.network,
-            Self::StandardSurface(m) => &mut m.network,
+            Self::UsdPreviewSurface(m) => &m.displacement,
+            Self::OpenPbr(m) => &m.displacement,
+            Self::StandardSurface(m) => &m.displacement,
+        }
+    }
+
+    /// What drives inputs, and what displaces.
+    pub fn networks_mut(&mut self) -> [&mut Network; 2] {
+        match self {
+            Self::UsdPreviewSurface(m) => [&mut m.network, &mut m.displacement],
+            Self::OpenPbr(m) => [&mut m.network, &mut m.displacement],
+            Self::StandardSurface(m) => [&mut m.network, &mut m.displacement],
         }
     }
 }
@@ -73,6 +83,8 @@ pub struct PreviewSurface {
     pub subsurface_albedo: Option<[f32; 3]>,
     #[serde(skip_serializing_if = "Network::is_empty")]
     pub network: Network,
+    #[serde(skip_serializing_if = "Network::is_empty")]
+    pub displacement: Network,
 }
 
 impl Default for PreviewSurface {
@@ -98,6 +110,7 @@ impl Default for PreviewSurface {
             subsurface_boundary: "diffuse".into(),
             subsurface_albedo: None,
             network: Network::default(),
+            displacement: Network::default(),
         }
     }
 }
@@ -133,6 +146,8 @@ pub struct OpenPbrSurface {
     pub geometry_opacity: f32,
     #[serde(skip_serializing_if = "Network::is_empty")]
     pub network: Network,
+    #[serde(skip_serializing_if = "Network::is_empty")]
+    pub displacement: Network,
 }
 
 impl Default for OpenPbrSurface {
@@ -164,6 +179,7 @@ impl Default for OpenPbrSurface {
             emission_color: [1.0; 3],
             geometry_opacity: 1.0,
             network: Network::default(),
+            displacement: Network::default(),
         }
     }
 }
@@ -201,6 +217,8 @@ pub struct StandardSurface {
     pub opacity: [f32; 3],
     #[serde(skip_serializing_if = "Network::is_empty")]
     pub network: Network,
+    #[serde(skip_serializing_if = "Network::is_empty")]
+    pub displacement: Network,
 }
 
 impl Default for StandardSurface {
@@ -232,6 +250,7 @@ impl Default for StandardSurface {
             emission_color: [1.0; 3],
             opacity: [1.0; 3],
             network: Network::default(),
+            displacement: Network::default(),
         }
     }
 }

@@ -21,6 +21,13 @@ impl Network {
     pub fn is_empty(&self) -> bool {
         self.inputs.is_empty()
     }
+
+    /// Keys of the images that it reads.
+    pub fn images(&self) -> impl Iterator<Item = &String> {
+        let tiles =
+            self.nodes.iter().filter_map(|node| if let Node::Image(image) = node { Some(&image.tiles) } else { None });
+        tiles.flatten().map(|tile| &tile.image)
+    }
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

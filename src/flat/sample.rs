@@ -88,7 +88,7 @@ pub(crate) fn scene() -> FlatScene {
         "@depth.exr@".into(),
         Image { width: 1, height: 2, texels: Texels::Half(vec![0x3c00, 0].into()), ..Image::default() },
     );
-    *scene.materials.get_mut("/looks/wax").expect("there").network_mut() = network();
+    *scene.materials.get_mut("/looks/wax").expect("there").networks_mut()[0] = network();
     scene.settings.camera = "/camera".into();
     scene.settings.aovs = vec!["depth".into(), "albedo".into()];
     scene.warnings.push(crate::error::Warning::new("/curves", "BasisCurves are not rendered"));

@@ -1,6 +1,7 @@
 //! From the flattened scene to the compiled one: geometry is kept from commit to commit, the rest is cheap.
 
 use super::accel::{Aabb, Tlas};
+use super::displace::Displacement;
 use super::image::{ImageCache, build_images};
 use super::{Coating, Driven, Geometry, Instance, Interior, Needs, Scene};
 use crate::bsdf::{self, Boundary, InteriorAlbedo, OfMesh, Surface};
@@ -48,8 +49,8 @@ pub fn compile(
         message: format!("no such camera; the scene has: {}", names(flat.cameras.keys())),
     })?;
     let camera = Camera::compile(camera, &flat.settings);
-    let blas_built = build_geometry(flat, cache);
     build_images(&flat.images, images);
+    let blas_built = build_geometry(flat, images, cache);
 
     let needs = Needs::default();
     let (surfaces, known) = (Vec::new(), BTreeMap::new());
@@ -88,14 +89,25 @@ fn names<'a>(keys: impl Iterator<Item = &'a String>) -> String {
 }
 
 /// Builds what is visible and not in the cache, and forgets what is gone; the number built.
-fn build_geometry(flat: &FlatScene, cache: &mut GeometryCache) -> usize {
+fn build_geometry(flat: &FlatScene, images: &ImageCache, cache: &mut GeometryCache) -> usize {
     let level = |mesh: &flat::Mesh| level_of(mesh, &flat.settings);
-    cache.retain(|path, geometry| flat.meshes.get(path).is_some_and(|mesh| geometry.asked_level() == level(mesh)));
+    let displacement = |mesh: &flat::Mesh| Displacement::of(mesh, &flat.materials, images);
+    let holds = |geometry: &Geometry, mesh: &flat::Mesh| {
+        let same = match (&geometry.displacement, &displacement(mesh)) {
+            (Some(was), Some(is)) => was.same(is),
+            (was, is) => was.is_none() && is.is_none(),
+        };
+        same && geometry.asked_level() == level(mesh)
+    };
+    cache.retain(|path, geometry| flat.meshes.get(path).is_some_and(|mesh| holds(geometry, mesh)));
     let missing: Vec<(&String, &flat::Mesh)> =
         flat.meshes.iter().filter(|(path, mesh)| mesh.visible && !cache.contains_key(*path)).collect();
     let built: Vec<(String, Arc<Geometry>)> = missing
         .par_iter()
-        .map(|(path, mesh)| ((*path).clone(), Arc::new(Geometry::compile(mesh, level(mesh)))))
+        .map(|(path, mesh)| {
+            let geometry = Geometry::compile(mesh, level(mesh), displacement(mesh), images);
+            ((*path).clone(), Arc::new(geometry))
+        })
         .collect();
     let count = built.len();
     cache.extend(built);
@@ -143,6 +155,7 @@ impl Builder<'_> {
                 continue;
             }
             self.note_refinement(path, geometry);
+            self.note_displacement(path, geometry);
             let surfaces = self.coat(path, mesh, geometry);
             self.needs.meshes += 1;
             self.needs.triangles += geometry.triangles.len() as u64;
@@ -175,6 +188,27 @@ impl Builder<'_> {
             self.needs.refined_triangles += geometry.triangles.len() as u64;
         } else {
             self.needs.cages += 1;
+        }
+    }
+
+    fn note_displacement(&mut self, path: &str, geometry: &Geometry) {
+        if geometry.displacement.is_none() {
+            return;
+        }
+        self.needs.displaced_meshes += 1;
+        if geometry.not_displaced > 0 {
+            let message = format!("displacement: at {} corners it is no number; they stay", geometry.not_displaced);
+            self.warnings.push(Warning::new(path, message));
+        }
+        if geometry.refinement.as_ref().is_none_or(|refinement| refinement.level == 0) {
+            let points = geometry.points.len();
+            let how = match geometry.refinement {
+                Some(_) => "--complexity or primvars:dermis:refineLevel refine it",
+                None => "only subdivision surfaces are refined",
+            };
+            let message =
+                format!("displacement moves the {points} points of the mesh, not what is between them; {how}");
+            self.warnings.push(Warning::new(path, message));
         }
     }
 

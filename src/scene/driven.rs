@@ -264,11 +264,18 @@ fn interned(material: &Material) -> Material {
             opacity_mode: token(&m.opacity_mode, &["transparent", "presence"]),
             subsurface_boundary: token(&m.subsurface_boundary, &["diffuse", "dielectric", "indexMatched"]),
             network: Network::default(),
+            displacement: Network::default(),
             ..m.clone()
         }),
-        Material::OpenPbr(m) => Material::OpenPbr(OpenPbrSurface { network: Network::default(), ..m.clone() }),
-        Material::StandardSurface(m) => {
-            Material::StandardSurface(StandardSurface { network: Network::default(), ..m.clone() })
-        }
+        Material::OpenPbr(m) => Material::OpenPbr(OpenPbrSurface {
+            network: Network::default(),
+            displacement: Network::default(),
+            ..m.clone()
+        }),
+        Material::StandardSurface(m) => Material::StandardSurface(StandardSurface {
+            network: Network::default(),
+            displacement: Network::default(),
+            ..m.clone()
+        }),
     }
 }

@@ -1,6 +1,8 @@
 //! A mesh made ready for rays: triangles about their centre, a BVH, and attributes at the corners.
 
 use super::accel::Blas;
+use super::displace::{Displacement, Surface};
+use super::image::ImageCache;
 use crate::flat::{self, AnyPrimvar, Interpolation, Orientation, Primvar, array::Element};
 use crate::subdivision::{self, Refinement};
 use glam::{DVec3, Vec2, Vec3, Vec4};
@@ -114,6 +116,10 @@ pub struct Geometry {
     pub slots: Option<Vec<u16>>,
     /// `None`: not a subdivision surface.
     pub refinement: Option<Refinement>,
+    /// What moved its points; `None`: nothing.
+    pub displacement: Option<Displacement>,
+    /// Corners whose displacement was no number.
+    pub not_displaced: usize,
 }
 
 /// Triangles of a mesh with what they came from.
@@ -126,47 +132,68 @@ struct Triangulation {
 
 impl Geometry {
     /// From a validated mesh: every index is in range, every point finite. A subdivision surface is refined `level`
-    /// times and moved to its limit; at level 0 it is its cage.
-    pub fn compile(mesh: &flat::Mesh, level: u32) -> Self {
+    /// times and moved to its limit; at level 0 it is its cage. Then `displacement` moves its points.
+    pub fn compile(mesh: &flat::Mesh, level: u32, displacement: Option<Displacement>, images: &ImageCache) -> Self {
         let centre = centre(&mesh.points);
         let points: Vec<Vec3> = mesh.points.iter().map(|p| (Vec3::from(*p).as_dvec3() - centre).as_vec3()).collect();
+        let build = |mesh: &flat::Mesh, points, refinement| {
+            Self::build(mesh, points, centre, refinement, displacement.map(|displacement| (displacement, images)))
+        };
         if !subdivision::is_subdivided(mesh) {
-            return Self::build(mesh, points, centre, None);
+            return build(mesh, points, None);
         }
         if level == 0 {
             let cage_faces = mesh.face_vertex_counts.len();
-            return Self::build(
-                mesh,
-                points,
-                centre,
-                Some(Refinement { asked: 0, level, cage_faces, faults: Vec::new() }),
-            );
+            return build(mesh, points, Some(Refinement { asked: 0, level, cage_faces, faults: Vec::new() }));
         }
         let refined = subdivision::refine(mesh, &points, level);
-        Self::build(&refined.mesh, refined.points, centre, Some(refined.refinement))
+        build(&refined.mesh, refined.points, Some(refined.refinement))
     }
 
     /// From a mesh whose points are about `centre` already.
-    fn build(mesh: &flat::Mesh, points: Vec<Vec3>, centre: DVec3, refinement: Option<Refinement>) -> Self {
+    fn build(
+        mesh: &flat::Mesh,
+        mut points: Vec<Vec3>,
+        centre: DVec3,
+        refinement: Option<Refinement>,
+        displacement: Option<(Displacement, &ImageCache)>,
+    ) -> Self {
         let soup = triangulate(mesh);
-        let blas = Blas::build(&points, &soup.triangles);
-        let normals = match (&mesh.normals, mesh.subdivision_scheme.as_str()) {
+        let slots = slots(mesh, &soup.faces);
+        let primvars =
+            mesh.primvars.iter().map(|(name, primvar)| (name.clone(), Values::new(primvar, &soup))).collect();
+        let mut not_displaced = 0;
+        let mut normals = match (&mesh.normals, mesh.subdivision_scheme.as_str()) {
             (Some(normals), "none") => Some(attribute(normals, &soup, Vec3::from)),
             (None, "none") | (_, "bilinear") => None,
             // A subdivision surface is smooth even as its control cage.
             _ => Some(Attribute::Point(smooth_normals(&points, &soup.triangles))),
         };
+        if let Some((displacement, images)) = &displacement {
+            let (slots, normals_before) = (slots.as_deref(), normals.as_ref());
+            let surface = Surface {
+                points: &points,
+                triangles: &soup.triangles,
+                slots,
+                primvars: &primvars,
+                normals: normals_before,
+            };
+            let moved = displacement.apply(&surface, images);
+            (points, normals, not_displaced) = (moved.points, moved.normals, moved.not_finite);
+        }
         Self {
+            blas: Blas::build(&points, &soup.triangles),
             normals,
             display_color: mesh.display_color.as_ref().map(|c| attribute(c, &soup, Vec3::from)),
             display_opacity: mesh.display_opacity.as_ref().and_then(|o| o.values.first().copied()).unwrap_or(1.0),
-            primvars: mesh.primvars.iter().map(|(name, primvar)| (name.clone(), Values::new(primvar, &soup))).collect(),
-            slots: slots(mesh, &soup.faces),
+            primvars,
+            slots,
             points,
             triangles: soup.triangles,
             centre,
-            blas,
             refinement,
+            displacement: displacement.map(|(displacement, _)| displacement),
+            not_displaced,
         }
     }
 

@@ -2,6 +2,7 @@
 
 pub mod accel;
 mod compile;
+mod displace;
 mod driven;
 mod enclosure;
 mod geometry;

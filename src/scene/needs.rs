@@ -14,6 +14,8 @@ pub struct Needs {
     pub refined_meshes: u32,
     pub refined_triangles: u64,
     pub cages: u32,
+    /// Meshes whose points materials move, at compile.
+    pub displaced_meshes: u32,
     pub lights: u32,
     /// Lights that rays can hit (shapes and meshes) and those at infinity.
     pub mesh_lights: u32,
@@ -118,6 +120,12 @@ impl Needs {
                 "no mesh is one",
             ),
             line("subdivision", self.refined_meshes > 0, self.subdivision(), &self.not_refined()),
+            line(
+                "displacement",
+                self.displaced_meshes > 0,
+                count(self.displaced_meshes, "meshes whose points materials move"),
+                "no material that displaces",
+            ),
             line(
                 "environment sampling",
                 self.infinite_lights > 0,

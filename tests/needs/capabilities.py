@@ -140,6 +140,10 @@ def refined(level: int) -> Stage:
     return setting(lit(surface), "--set", f"refineLevel={level}")
 
 
+def displaced(offset: float) -> str:
+    return f"{OPAQUE}\nfloat inputs:displacement = {offset}"
+
+
 IMAGE = "asset inputs:texture:file = @image.hdr@"
 """`driver.flatten` writes it beside the stage."""
 DOME = "float inputs:intensity = 0.5"
@@ -288,6 +292,16 @@ CAPABILITIES = (
             "a mesh",
         ),
         Compared("a surface refined twice", refined(2), refined(0), "its cage"),
+    ),
+    Capability(
+        "displacement",
+        Compared(
+            "a displacement of 0",
+            Stage(look=displaced(0.0)),
+            PLAIN,
+            "an opaque ball",
+        ),
+        Compared("a displacement of 0.02", Stage(look=displaced(0.02)), PLAIN, "an opaque ball"),
     ),
     Capability(
         "mesh lights",

@@ -95,10 +95,12 @@ def material(name: str, inputs: str) -> str:
     def Material "{name}"
     {{
         token outputs:surface.connect = </World/{name}/Surface.outputs:surface>
+        token outputs:displacement.connect = </World/{name}/Surface.outputs:displacement>
         def Shader "Surface"
         {{
             uniform token info:id = "UsdPreviewSurface"
             token outputs:surface
+            token outputs:displacement
             {inputs}
         }}
     }}

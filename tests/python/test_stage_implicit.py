@@ -114,3 +114,61 @@ def test_our_stage(usd_scenes):
     assert result.warnings == []
     assert sum(prim["type"] == "Mesh" for prim in result.prims.values()) == 8
     assert result.prims["/World/Shapes/Pear"]["displayColor"]["values"].shape == (1, 3)
+
+
+TEXTURED = """
+def Material "M"
+{
+    token outputs:surface.connect = </M/S.outputs:surface>
+    def Shader "S"
+    {
+        uniform token info:id = "UsdPreviewSurface"
+        token outputs:surface
+        color3f inputs:diffuseColor.connect = </M/R.outputs:result>
+    }
+    def Shader "R"
+    {
+        uniform token info:id = "UsdPrimvarReader_float2"
+        string inputs:varname = "st"
+        float2 outputs:result
+    }
+}
+"""
+
+
+def textured(flat, shape, more=""):
+    bound = shape.replace('"S"', '"S" (prepend apiSchemas = ["MaterialBindingAPI"])')
+    result = flat(f"def {bound[:-1]}    rel material:binding = </M>\n{more}}}\n{TEXTURED}")
+    assert result.warnings == []
+    mesh = result.prims["/S"]
+    st = mesh["primvars"]["st"]
+    values = st["values"][st["indices"]] if "indices" in st else st["values"]
+    return mesh, st["interpolation"], values.astype(np.float64)
+
+
+@pytest.mark.parametrize("axis", ["X", "Y", "Z"])
+@pytest.mark.parametrize("shape", [*SHAPES, 'Plane "S"\n{\n}'], ids=lambda text: " ".join(text.split()))
+def test_texture_coordinates_are_within_the_image_and_not_mirrored(flat, shape, axis):
+    if not shape.startswith("Cube"):
+        shape = shape[:-1] + f'    uniform token axis = "{axis}"\n}}'
+    mesh, interpolation, st = textured(flat, shape)
+    assert interpolation == "faceVarying" and len(st) == len(mesh["faceVertexIndices"])
+    assert st.min() == 0.0 and st.max() == 1.0
+    a, b, c = (st[triangles(mesh)[:, k]] for k in range(3))
+    areas = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    assert areas.min() > 0.0
+
+
+def test_texture_coordinates_of_a_sphere_are_longitude_and_latitude(flat):
+    mesh, _, st = textured(flat, 'Sphere "S"\n{\n    double radius = 2\n}')
+    x, y, z = (mesh["points"][mesh["faceVertexIndices"]].astype(np.float64) / 2.0).T
+    assert st[:, 1] == pytest.approx(0.5 + np.arcsin(np.clip(z, -1.0, 1.0)) / np.pi, abs=1e-6)
+    beside = np.abs(z) < 0.999
+    turns = st[beside, 0] - np.arctan2(y, x)[beside] / (2.0 * np.pi)
+    assert turns == pytest.approx(np.rint(turns), abs=1e-6)
+
+
+def test_authored_texture_coordinates_win(flat):
+    more = '    texCoord2f[] primvars:st = [(0.25, 0.5)] (interpolation = "constant")\n'
+    _, interpolation, st = textured(flat, 'Sphere "S"\n{\n}', more)
+    assert interpolation == "constant" and st.tolist() == [[0.25, 0.5]]

@@ -157,13 +157,13 @@ class Emitter:
         """The primvars that the materials of a mesh read, and what they are for where they have no fallback."""
         names: dict[str, str] = {}
         for key in (mesh["material"], *(subset["material"] for subset in mesh["geomSubsets"])):
-            network = self.prims.get(key, {}).get("network", {})
-            if network.get("tangents"):
-                names.setdefault(network["tangents"], "")
-            for node in network.get("nodes", ()):
-                if node["node"] == "primvar":
-                    plain = not any(node["fallback"])
-                    names[node["varname"]] = key if plain else names.get(node["varname"], "")
+            for network in networks(self.prims.get(key, {})):
+                if network["tangents"]:
+                    names.setdefault(network["tangents"], "")
+                for node in network["nodes"]:
+                    if node["node"] == "primvar":
+                        plain = not any(node["fallback"])
+                        names[node["varname"]] = key if plain else names.get(node["varname"], "")
         if names:
             inherited = found.context.inherited()
             primvars = flatten_read_primvars(found.prim, found.kind, mesh, names, self.reader, inherited)
@@ -179,6 +179,10 @@ class Emitter:
                 self.reader.warn(prim, f"cannot be read ({error}); displayColor is used")
                 self.prims[key] = {"type": "Material", "shader": "UsdPreviewSurface"}
         return key
+
+
+def networks(material: Prim) -> list[Prim]:
+    return [material[name] for name in ("network", "displacement") if name in material]
 
 
 def local_to_world(found: Found, matrices: Matrices) -> Matrices:

@@ -1,4 +1,9 @@
-"""Implicit prims as closed meshes: shared points (no seam, no double pole), outward right-handed winding."""
+"""Implicit prims as closed meshes: shared points (no seam, no double pole), outward right-handed winding.
+
+Texture coordinates, which Hydra has none of, are never mirrored as seen from outside: s once around the axis from the
+first direction after it, t along the profile from pole to pole or over the side; all of the image on each flat cap, on
+each face of a cube and on a plane.
+"""
 
 from typing import Any
 
@@ -18,8 +23,17 @@ IMPLICIT_TYPES = ("Sphere", "Cube", "Cone", "Cylinder", "Cylinder_1", "Capsule",
 Surface = dict[str, Any]
 
 
-def tessellate(prim: Usd.Prim, kind: str, reader: Reader) -> Surface | None:
-    """Points, topology and normals of an implicit prim as fields of a Mesh; None where it has no extent."""
+def texture_coordinates(prim: Usd.Prim, kind: str, reader: Reader) -> Surface | None:
+    """Face-varying `st` as fields of a Primvar."""
+    surface = tessellate(prim, kind, reader, with_st=True)
+    return surface and surface["st"]
+
+
+def tessellate(prim: Usd.Prim, kind: str, reader: Reader, with_st: bool = False) -> Surface | None:
+    """Points, topology and normals of an implicit prim as fields of a Mesh; None where it has no extent.
+
+    `with_st`: with texture coordinates as `st`, which is no field of a Mesh.
+    """
 
     def length(name: str, default: float) -> float:
         value = reader.value(prim, name, default)
@@ -28,6 +42,8 @@ def tessellate(prim: Usd.Prim, kind: str, reader: Reader) -> Surface | None:
         return abs(value)
 
     surface = build(prim, kind, reader, length)
+    if surface is not None and not with_st:
+        del surface["st"]
     if surface is None or np.ptp(surface["points"], axis=0).max() == 0.0:
         reader.warn(prim, f"{kind} without extent; it is not rendered")
         return None
@@ -131,7 +147,37 @@ def revolve(profile: NDArray, normals: NDArray, axis: str) -> Surface:
         np.concatenate([face.ravel() for face in faces]),
         turn(values, axis),
         np.concatenate([corner.ravel() for corner in corners]),
+        np.concatenate([st.reshape(-1, 2) for st in band_coordinates(profile)]),
     )
+
+
+def band_coordinates(profile: NDArray) -> list[NDArray]:
+    """st at the corners of the faces of each band, as `band` orders them."""
+    steps = np.linalg.norm(np.diff(profile, axis=0), axis=1)
+    flat = np.diff(profile[:, 1]) == 0.0
+    t = np.concatenate([[0.0], np.cumsum(np.where(flat, 0.0, steps))])
+    t = t / (t[-1] or 1.0)
+    s = np.arange(SEGMENTS + 1) / SEGMENTS
+    bands = []
+    for i in range(len(profile) - 1):
+        poles = profile[i, 0] == 0.0, profile[i + 1, 0] == 0.0
+        if flat[i]:
+            # Seen from below with the same upwards direction, the first axis points to the left.
+            x, y = np.cos(2.0 * np.pi * s), np.sin(2.0 * np.pi * s)
+            rim = 0.5 + 0.5 * np.stack([x if poles[1] else -x, y], axis=1)
+            pole = np.full((SEGMENTS, 2), 0.5)
+            low, high = rim, rim
+        else:
+            low, high = (np.stack([s, np.full_like(s, height)], axis=1) for height in t[i : i + 2])
+            pole = np.stack([0.5 * (s[:-1] + s[1:]), np.full(SEGMENTS, t[i if poles[0] else i + 1])], axis=1)
+        if poles[0]:
+            corners = [pole, high[1:], high[:-1]]
+        elif poles[1]:
+            corners = [low[:-1], low[1:], pole]
+        else:
+            corners = [low[:-1], low[1:], high[1:], high[:-1]]
+        bands.append(np.stack(corners, axis=1))
+    return bands
 
 
 def around(rz: NDArray, phi: NDArray) -> NDArray:
@@ -172,7 +218,14 @@ def cube(size: float) -> Surface:
     points = np.array([[x, y, z] for z in (-0.5, 0.5) for y in (-0.5, 0.5) for x in (-0.5, 0.5)]) * size
     faces = np.array([[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]])
     normals = np.array([[-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, -1], [0, 0, 1]])
-    return surface(points, np.full(6, 4), faces.ravel(), normals, np.repeat(np.arange(6), 4))
+    # Y is up on the sides, -Z and Z on top and bottom.
+    up = np.array([[0, 1, 0], [0, 1, 0], [0, 0, 1], [0, 0, -1], [0, 1, 0], [0, 1, 0]])
+    corners = np.sign(points)[faces]
+    s = np.einsum("fci,fi->fc", corners, np.cross(up, normals))
+    st = 0.5 + 0.5 * np.stack([s, np.einsum("fci,fi->fc", corners, up)], axis=-1)
+    return surface(
+        points, np.full(6, 4), faces.ravel(), normals, np.repeat(np.arange(6), 4), st.reshape(-1, 2)
+    )
 
 
 def plane(width: float, length: float, axis: str) -> Surface:
@@ -181,11 +234,12 @@ def plane(width: float, length: float, axis: str) -> Surface:
     u, v = {"X": (length * y, width * z), "Y": (length * z, width * x), "Z": (width * x, length * y)}[axis]
     points = 0.5 * np.stack([-u - v, u - v, u + v, v - u])
     normal = {"X": x, "Y": y, "Z": z}[axis]
-    return surface(points, np.array([4]), np.arange(4), normal[None], np.zeros(4))
+    st = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    return surface(points, np.array([4]), np.arange(4), normal[None], np.zeros(4), st)
 
 
 def surface(
-    points: NDArray, counts: NDArray, indices: NDArray, normals: NDArray, corners: NDArray
+    points: NDArray, counts: NDArray, indices: NDArray, normals: NDArray, corners: NDArray, st: NDArray
 ) -> Surface:
     return {
         "points": np.ascontiguousarray(points, np.float32),
@@ -196,4 +250,5 @@ def surface(
             "values": np.ascontiguousarray(normals, np.float32),
             "indices": np.ascontiguousarray(corners, np.int32),
         },
+        "st": {"interpolation": "faceVarying", "values": np.ascontiguousarray(st, np.float32)},
     }

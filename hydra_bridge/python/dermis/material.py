@@ -4,6 +4,7 @@ from typing import Any
 
 from pxr import Usd, UsdShade
 
+from .displacement import flatten_displacement
 from .graph import Graph, shader_id
 from .network import Unsupported, Value, constant
 from .reading import Reader
@@ -17,7 +18,13 @@ PLAIN: Fields = {"type": "Material", "shader": "UsdPreviewSurface"}
 
 def flatten_material(prim: Usd.Prim, reader: Reader, images: dict[str, Fields]) -> Fields:
     """Fields of `flat::Material`; only authored inputs, the rest has its specification's default. What drives inputs
-    is in `network`, the images that it reads are added to `images`."""
+    is in `network`, what displaces in `displacement`, the images that they read are added to `images`."""
+    fields = flatten_surface(prim, reader, images)
+    displacement = flatten_displacement(prim, reader, images)
+    return fields if displacement is None else {**fields, "displacement": displacement}
+
+
+def flatten_surface(prim: Usd.Prim, reader: Reader, images: dict[str, Fields]) -> Fields:
     surface = find_surface(prim, reader)
     if surface is None:
         return dict(PLAIN)
@@ -34,12 +41,12 @@ def flatten_material(prim: Usd.Prim, reader: Reader, images: dict[str, Fields]) 
                 set_input(fields, graph, shader_input, shader.inputs[name])
         elif name == shader.normal:
             set_normal(graph, shader_input, shader)
+        elif name == "displacement" and name in shader.idle:
+            warn_unconnected(graph, shader_input, prim)
         elif name not in shader.idle:
             warn_ignored(graph, shader_input, shader)
     if graph.inputs:
         fields["network"] = graph.flattened()
-    if UsdShade.Material(prim).GetDisplacementOutput().HasConnectedSource():
-        reader.warn(prim, "outputs:displacement: displacement is not supported yet; ignored")
     return fields
 
 
@@ -96,6 +103,18 @@ def warn_ignored(graph: Graph, shader_input: UsdShade.Input, shader: Shader) -> 
         reader.warn(
             node, f"inputs:{name}: not supported yet; {value} is ignored, the default {default} rendered"
         )
+
+
+def warn_unconnected(graph: Graph, shader_input: UsdShade.Input, material: Usd.Prim) -> None:
+    """The displacement of a surface shader counts where it is the material's."""
+    if any(output.HasConnectedSource() for output in UsdShade.Material(material).GetDisplacementOutputs()):
+        return
+    source = graph.source(shader_input)
+    if source and (graph.is_output(source) or source.Get(graph.reader.time)):
+        message = (
+            "inputs:displacement: outputs:displacement of the material is not connected; nothing is displaced"
+        )
+        graph.reader.warn(shader_input.GetPrim(), message)
 
 
 def set_input(fields: Fields, graph: Graph, shader_input: UsdShade.Input, default: Any) -> None:

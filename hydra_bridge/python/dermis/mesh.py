@@ -7,7 +7,7 @@ import numpy as np
 from pxr import Usd, UsdGeom
 
 from .curves import Tessellation, read_primvar, tessellate_curves
-from .implicit import IMPLICIT_TYPES, tessellate
+from .implicit import IMPLICIT_TYPES, tessellate, texture_coordinates
 from .reading import Reader, numeric
 from .skel import Skins
 
@@ -194,7 +194,10 @@ def flatten_read_primvars(
         primvar = api.GetPrimvar(name)
         if not (primvar and primvar.HasAuthoredValue()):
             primvar = inherited.get(name)
-        if primvar is None:
+        if primvar is None and name == "st" and kind in IMPLICIT_TYPES:
+            if (st := texture_coordinates(prim, kind, reader)) is not None:
+                found[name] = {"type": "float2", **st}
+        elif primvar is None:
             if user:
                 reader.warn(prim, f"primvars:{name}: there is none; {user} reads it and gets its fallback")
         elif kind not in ("Mesh", "BasisCurves") and primvar.GetInterpolation() != UsdGeom.Tokens.constant:

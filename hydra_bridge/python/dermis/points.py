@@ -41,6 +41,7 @@ def flatten_points(
         number = int((~shown).sum())
         reader.warn(prim, f"widths, points: {number} points are not finite or have no width; not rendered")
     mesh = {"orientation": "rightHanded", "subdivisionScheme": "none", "doubleSided": False, **sphere(0.5)}
+    del mesh["st"]
     colors = display_colors(prim, inherited, len(points), mesh, reader)
     matrices = np.tile(np.eye(4), (int(shown.sum()), 1, 1))
     matrices[:, [0, 1, 2], [0, 1, 2]] = widths[shown, None]

@@ -49,9 +49,9 @@ PREVIEW_SURFACE = Shader(
         "subsurfaceBoundary": "diffuse",
         "subsurfaceAlbedo": WHITE,
     },
-    {"displacement": 0.0},
-    # Occlusion is for rasterisers: a path tracer computes it.
-    frozenset({"occlusion"}),
+    {},
+    # Occlusion is for rasterisers: a path tracer computes it. Displacement is what outputs:displacement leads to.
+    frozenset({"occlusion", "displacement"}),
     tangent_space=True,
 )
 

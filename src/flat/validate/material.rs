@@ -14,7 +14,7 @@ const IOR: RangeInclusive<f32> = 0.01..=100.0;
 
 pub fn validate_material(path: &str, material: &mut Material, warnings: &mut Vec<Warning>) {
     let mut report = Report::new(path, warnings);
-    super::network::check_network(material.network_mut(), &mut report);
+    material.networks_mut().into_iter().for_each(|network| super::network::check_network(network, &mut report));
     match material {
         Material::UsdPreviewSurface(surface) => check_preview(surface, &mut report),
         Material::OpenPbr(surface) => check_open_pbr(surface, &mut report),
