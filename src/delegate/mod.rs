@@ -12,7 +12,7 @@ use crate::flat::{self, FlatScene, Prim, RenderSettings, StageInfo, validate};
 use crate::guiding::look;
 use crate::integrator::PathStats;
 use crate::render::{GuideStats, Keep, Progress, Report, film_for, render};
-use crate::scene::{CompileStats, Geometry, GeometryCache, ImageCache, Scene, compile, fit_images};
+use crate::scene::{CompileStats, Geometry, Kept, Scene, compile, fit_images};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -56,8 +56,7 @@ pub struct RenderDelegate {
     flat: FlatScene,
     /// Meshes as they were authored, where validation changed them: an edit applies to these.
     authored: BTreeMap<String, flat::Mesh>,
-    geometry: GeometryCache,
-    images: ImageCache,
+    kept: Kept,
     scene: Option<Arc<Scene>>,
     /// What is compiled is what is described.
     clean: bool,
@@ -103,12 +102,15 @@ impl RenderDelegate {
         match prim {
             Prim::Mesh(mesh) => drop(self.flat.meshes.insert(path, mesh)),
             Prim::Instancer(instancer) => drop(self.flat.instancers.insert(path, instancer)),
-            Prim::Material(material) => drop(self.flat.materials.insert(path, material)),
+            Prim::Material(material) => {
+                self.kept.forget(&path);
+                self.flat.materials.insert(path, material);
+            }
             Prim::Light(light) => drop(self.flat.lights.insert(path, light)),
             Prim::Camera(camera) => drop(self.flat.cameras.insert(path, camera)),
             Prim::Texture(texture) => drop(self.flat.textures.insert(path, texture)),
             Prim::Image(image) => {
-                self.images.remove(&path);
+                self.kept.forget(&path);
                 self.flat.images.insert(path, image);
             }
         }
@@ -117,7 +119,7 @@ impl RenderDelegate {
     /// The mesh at `path` with the aspects in `bits` taken from `new`.
     fn merge_mesh(&mut self, path: &str, new: flat::Mesh, bits: DirtyBits) -> flat::Mesh {
         if bits.intersects(DirtyBits::GEOMETRY) {
-            self.geometry.remove(path);
+            self.kept.forget(path);
         }
         let old = self.authored.remove(path).or_else(|| self.flat.meshes.remove(path));
         let Some(old) = old.filter(|_| bits != DirtyBits::ALL) else { return new };
@@ -166,7 +168,7 @@ impl RenderDelegate {
     /// Removes whatever prim is at `path`.
     pub fn remove(&mut self, path: &str) {
         self.edit();
-        self.geometry.remove(path);
+        self.kept.forget(path);
         self.authored.remove(path);
         self.prim_warnings.remove(path);
         let flat = &mut self.flat;
@@ -177,7 +179,6 @@ impl RenderDelegate {
         flat.cameras.remove(path);
         flat.textures.remove(path);
         flat.images.remove(path);
-        self.images.remove(path);
     }
 
     pub fn set_stage(&mut self, stage: StageInfo) {
@@ -224,13 +225,13 @@ impl RenderDelegate {
         self.stop();
         self.flat.settings.check()?;
         self.commit_warnings.clear();
-        let fitted = fit_images(&mut self.flat.images, &mut self.images, self.flat.settings.texture_memory);
+        let fitted = fit_images(&mut self.flat.images, &mut self.kept.images, self.flat.settings.texture_memory);
         // Said for good: at the next commit they fit.
         self.flat.warnings.extend(fitted);
         // A name that leads nowhere now may lead somewhere after the next edit: clear it in a copy (arrays are shared).
         let mut named = self.flat.clone();
         named.validate_names(&mut self.commit_warnings);
-        let (scene, stats) = compile(&named, &mut self.geometry, &mut self.images, &mut self.commit_warnings)?;
+        let (scene, stats) = compile(&named, &mut self.kept, &mut self.commit_warnings)?;
         self.scene = Some(Arc::new(scene));
         self.compiled = stats;
         self.clean = true;
@@ -346,7 +347,7 @@ impl RenderDelegate {
                 "triangles": geometry.triangles.len(),
             }))
         };
-        self.geometry.iter().filter_map(line).collect()
+        self.kept.geometry.iter().filter_map(line).collect()
     }
 
     /// Which walk each medium of the committed scene takes, and why.

@@ -22,6 +22,30 @@ use std::sync::Arc;
 /// Compiled geometry by mesh path; an edit removes the entries that it makes stale.
 pub type GeometryCache = BTreeMap<String, Arc<Geometry>>;
 
+/// Compiled constant surfaces by all that they come from; an edit of a material removes its own.
+type SurfaceCache = BTreeMap<SurfaceKey, Surface>;
+
+/// A material's path and what is not the material's: displayColor and displayOpacity, bits, and the boundary that the
+/// settings force.
+type SurfaceKey = (String, Option<[u32; 3]>, u32, String);
+
+/// What is kept between the compilations of a scene.
+#[derive(Default)]
+pub struct Kept {
+    pub geometry: GeometryCache,
+    pub images: ImageCache,
+    surfaces: SurfaceCache,
+}
+
+impl Kept {
+    /// The prim at `path` is another one, or gone.
+    pub fn forget(&mut self, path: &str) {
+        self.geometry.remove(path);
+        self.images.remove(path);
+        self.surfaces.retain(|key, _| key.0 != path);
+    }
+}
+
 /// What a commit had to build.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct CompileStats {
@@ -36,29 +60,25 @@ pub struct CompileStats {
 /// The shortest mean free path, stage units: 1 / sigma_t and sigma_t * t stay finite in f32.
 const MIN_MEAN_FREE_PATH: f32 = 1e-30;
 
-/// Compiles a validated scene; `cache` and `images` keep geometry and images between calls.
-pub fn compile(
-    flat: &FlatScene,
-    cache: &mut GeometryCache,
-    images: &mut ImageCache,
-    warnings: &mut Vec<Warning>,
-) -> Result<(Scene, CompileStats)> {
+/// Compiles a validated scene; `kept` spares the next call what has not changed.
+pub fn compile(flat: &FlatScene, kept: &mut Kept, warnings: &mut Vec<Warning>) -> Result<(Scene, CompileStats)> {
     let start = std::time::Instant::now();
     let camera = flat.cameras.get(&flat.settings.camera).ok_or_else(|| Error::Prim {
         prim: flat.settings.camera.clone(),
         message: format!("no such camera; the scene has: {}", names(flat.cameras.keys())),
     })?;
     let camera = Camera::compile(camera, &flat.settings);
+    let Kept { geometry: cache, images, surfaces: former } = kept;
     build_images(&flat.images, images);
     let blas_built = build_geometry(flat, images, cache);
 
-    let needs = Needs::default();
-    let (surfaces, known) = (Vec::new(), BTreeMap::new());
-    let mut builder = Builder { flat, origin: camera.origin, images, warnings, needs, surfaces, known };
+    let (needs, surfaces, known) = (Needs::default(), Vec::new(), SurfaceCache::new());
+    let mut builder = Builder { flat, origin: camera.origin, images, warnings, needs, surfaces, known, former };
     let (mut instances, emitters) = builder.place(cache);
     let lights = builder.lights(&mut instances, emitters);
     builder.count(&camera, &instances, &lights);
     let (surfaces, needs) = (builder.surfaces, builder.needs);
+    kept.surfaces = builder.known;
 
     let boxes: Vec<Aabb> = instances.iter().map(render_bounds).collect();
     let shapes: Vec<(u32, Aabb)> = lights.shapes().map(|(light, (min, max))| (light, Aabb { min, max })).collect();
@@ -134,8 +154,9 @@ struct Builder<'a> {
     warnings: &'a mut Vec<Warning>,
     needs: Needs,
     surfaces: Vec<Coating>,
-    /// Of `surfaces`, those that others are alike to: by material, and by what they take from the mesh.
-    known: BTreeMap<(String, Option<[u32; 3]>, u32), Surface>,
+    known: SurfaceCache,
+    /// Of the compilation before; what this one has no use for is dropped with it.
+    former: &'a mut SurfaceCache,
 }
 
 impl Builder<'_> {
@@ -281,11 +302,15 @@ impl Builder<'_> {
         Coating { surface, interior, driven }
     }
 
-    /// Compiled once for all meshes that are alike: its tables take milliseconds.
+    /// Compiled once for all meshes and commits that are alike: its tables take milliseconds.
     fn constant_surface(&mut self, prim: &str, material: &str, display_color: Option<Rgb>, opacity: f32) -> Surface {
-        let key = (material.to_owned(), display_color.map(|c| c.to_array().map(f32::to_bits)), opacity.to_bits());
+        let color_bits = display_color.map(|c| c.to_array().map(f32::to_bits));
+        let key = (material.to_owned(), color_bits, opacity.to_bits(), self.flat.settings.subsurface_boundary.clone());
         if let Some(known) = self.known.get(&key) {
             return *known;
+        }
+        if let Some(former) = self.former.remove(&key) {
+            return *self.known.entry(key).or_insert(former);
         }
         let warned = self.warnings.len();
         let boundary_override = boundary_named(&self.flat.settings.subsurface_boundary);
@@ -433,7 +458,7 @@ mod tests {
         flat.materials.insert("/Plain".into(), preview(PreviewSurface::default()));
         flat.materials.insert("/Wax".into(), preview(PreviewSurface { subsurface: 1.0, ..PreviewSurface::default() }));
         flat.meshes.extend(meshes.into_iter().map(|(path, mesh)| (path.to_owned(), mesh)));
-        compile(&flat, &mut GeometryCache::new(), &mut ImageCache::new(), &mut Vec::new()).expect("a scene").0
+        compile(&flat, &mut Kept::default(), &mut Vec::new()).expect("a scene").0
     }
 
     /// Surfaces that meshes have in common are compiled once, and each mesh still shows its own colour.

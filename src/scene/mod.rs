@@ -10,11 +10,11 @@ mod image;
 mod needs;
 mod network;
 
-pub use compile::{CompileStats, GeometryCache, compile};
+pub use compile::{CompileStats, Kept, compile};
 pub use driven::Driven;
 pub use enclosure::{BoundaryHit, InstanceEnclosure};
 pub use geometry::{Attribute, Geometry};
-pub use image::{ImageCache, fit_images};
+pub use image::fit_images;
 pub use needs::{Explanation, Needs};
 
 use crate::bsdf::{Boundary, Side, Surface};

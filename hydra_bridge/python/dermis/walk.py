@@ -226,7 +226,8 @@ class Walk:
 
     def report_unsupported(self) -> None:
         for kind, paths in self.unsupported.items():
-            self.reader.warn(paths[0], f"{kind} is not rendered yet ({len(paths)} prims, this is the first)")
+            others = f"; nor are {', '.join(map(str, paths[1:]))}" if paths[1:] else ""
+            self.reader.warn(paths[0], f"{kind} is not rendered yet{others}")
 
 
 def descend(prim: Usd.Prim, context: Context, reader: Reader) -> Context:

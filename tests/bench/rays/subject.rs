@@ -1,7 +1,7 @@
 //! What is traced: meshes of flattened scenes, one of them subdivided, a soup, and a cloud of instances.
 
 use dermis::flat::{self, Array, FlatScene, Instancer, Mesh};
-use dermis::scene::{self, GeometryCache, ImageCache, Scene};
+use dermis::scene::{self, Kept, Scene};
 use glam::{Mat3, Mat4, Quat, Vec3};
 use std::collections::HashMap;
 use std::path::Path;
@@ -64,7 +64,7 @@ impl Subject {
         flat.meshes.insert("/mesh".into(), prim);
         flat.cameras.insert("/camera".into(), flat::Camera::default());
         flat.settings.camera = "/camera".into();
-        let compiled = scene::compile(&flat, &mut GeometryCache::new(), &mut ImageCache::new(), &mut Vec::new());
+        let compiled = scene::compile(&flat, &mut Kept::default(), &mut Vec::new());
         let (scene, _) = compiled.unwrap_or_else(|e| panic!("{name}: {e}"));
         Self { name: name.into(), mesh, scene }
     }
