@@ -36,7 +36,7 @@ ODD = {
     "/World/Odd/Patch": "NurbsPatch",
     "/World/Odd/BrokenMesh": "point",
     "/World/Odd/Missing": "not_there.usda",
-    "/World/Odd/Renderman/Surface": "PxrSurface",
+    "/World/Odd/Renderman": "PxrSurface",
     "/World/Odd/LostTexture/Image": "lost.png",
     "/World/Odd/Neon": "PluginLight",
 }
