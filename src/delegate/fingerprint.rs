@@ -1,13 +1,15 @@
 //! Digests of what an image depends on: they tell whether a checkpoint may go on, and images may be merged.
 
 use super::RenderDelegate;
-use crate::flat::{FlatScene, RenderSettings, StageInfo, array::collect_arrays};
+use crate::flat::{self, FlatScene, RenderSettings, StageInfo, array::collect_arrays};
 use crate::saved::Digest;
+use crate::scene::release;
 use serde_json::Value;
+use std::collections::BTreeMap;
 use std::io::Write;
 
-/// Settings that decide about time, not about the image.
-const OF_THE_RUN: [&str; 2] = ["threads", "timeLimit"];
+/// Settings that decide about time and memory, not about the image.
+const OF_THE_RUN: [&str; 3] = ["threads", "timeLimit", "textureMemory"];
 
 /// Settings in which parts of one image may differ.
 const OF_THE_PART: [&str; 6] = ["dataWindowNDC", "samples", "sampleOffset", "seed", "noiseThreshold", "aovs"];
@@ -35,7 +37,8 @@ fn settings_without(settings: &RenderSettings, left_out: &[&str]) -> Value {
 /// Arrays are shared by the copy. Where the stage lies is no part of it: farms mount it elsewhere.
 fn digest(flat: &FlatScene, settings: &Value) -> u64 {
     let stage = StageInfo { file: String::new(), ..flat.stage.clone() };
-    let scene = FlatScene { stage, warnings: Vec::new(), settings: RenderSettings::default(), ..flat.clone() };
+    let images = BTreeMap::new();
+    let scene = FlatScene { stage, images, warnings: Vec::new(), settings: RenderSettings::default(), ..flat.clone() };
     let (text, arrays) = collect_arrays(|| serde_json::to_vec(&scene).unwrap_or_default());
     let mut digest = Digest::new();
     let mut take = |bytes: &[u8]| digest.write_all(bytes).expect("a digest takes everything");
@@ -43,5 +46,14 @@ fn digest(flat: &FlatScene, settings: &Value) -> u64 {
     take(settings.to_string().as_bytes());
     take(&text);
     arrays.iter().for_each(|array| take(array.bytes()));
+    // One by one, since they may be more than fits into memory.
+    for (key, image) in &flat.images {
+        let flat::Image { file: _, width, height, channels, srgb, texels, fault: _ } = image;
+        take(format!("{key} {width} {height} {channels} {srgb} {}", texels.size()).as_bytes());
+        take(texels.bytes());
+        if let Some((map, offset, len)) = texels.map() {
+            release(map, offset, len);
+        }
+    }
     digest.finish()
 }

@@ -12,7 +12,7 @@ use crate::flat::{self, FlatScene, Prim, RenderSettings, StageInfo, validate};
 use crate::guiding::look;
 use crate::integrator::PathStats;
 use crate::render::{GuideStats, Keep, Progress, Report, film_for, render};
-use crate::scene::{CompileStats, Geometry, Kept, Scene, compile, fit_images};
+use crate::scene::{CompileStats, Geometry, Kept, Residency, Scene, compile, page_out};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -57,6 +57,8 @@ pub struct RenderDelegate {
     /// Meshes as they were authored, where validation changed them: an edit applies to these.
     authored: BTreeMap<String, flat::Mesh>,
     kept: Kept,
+    /// Of the images that are in scratch files.
+    residency: Arc<Residency>,
     scene: Option<Arc<Scene>>,
     /// What is compiled is what is described.
     clean: bool,
@@ -112,7 +114,21 @@ impl RenderDelegate {
             Prim::Image(image) => {
                 self.kept.forget(&path);
                 self.flat.images.insert(path, image);
+                // Now, so that images that do not fit are in memory one by one.
+                self.page_out();
             }
+        }
+    }
+
+    /// Images beyond `textureMemory` go to scratch files.
+    fn page_out(&mut self) {
+        let bound = self.flat.settings.texture_memory as usize * 1_000_000;
+        let warnings = page_out(&mut self.flat.images, &mut self.kept.images, &self.residency, bound);
+        for warning in warnings {
+            let of_prim = self.prim_warnings.entry(warning.prim.clone()).or_default();
+            // The next try says it again.
+            of_prim.retain(|known| *known != warning);
+            of_prim.push(warning);
         }
     }
 
@@ -225,9 +241,7 @@ impl RenderDelegate {
         self.stop();
         self.flat.settings.check()?;
         self.commit_warnings.clear();
-        let fitted = fit_images(&mut self.flat.images, &mut self.kept.images, self.flat.settings.texture_memory);
-        // Said for good: at the next commit they fit.
-        self.flat.warnings.extend(fitted);
+        self.page_out();
         // A name that leads nowhere now may lead somewhere after the next edit: clear it in a copy (arrays are shared).
         let mut named = self.flat.clone();
         named.validate_names(&mut self.commit_warnings);

@@ -69,6 +69,25 @@ impl<T> Default for Array<T> {
     }
 }
 
+impl<T: Element> Array<T> {
+    /// `len` elements of a map from byte `offset` on, which is a multiple of 64.
+    ///
+    /// # Panics
+    /// Where they are not inside of the map.
+    pub fn mapped(map: Arc<Mmap>, offset: usize, len: usize) -> Self {
+        assert!(offset % 64 == 0 && offset + len * size_of::<T>() <= map.len());
+        Self(Storage::Mapped { map, offset, len })
+    }
+
+    /// Map, and range in bytes, of an array that is not in memory of its own.
+    pub fn map(&self) -> Option<(&Mmap, usize, usize)> {
+        match &self.0 {
+            Storage::Owned(_) => None,
+            Storage::Mapped { map, offset, len } => Some((map, *offset, *len * size_of::<T>())),
+        }
+    }
+}
+
 impl<T> From<Vec<T>> for Array<T> {
     fn from(values: Vec<T>) -> Self {
         Self(Storage::Owned(Arc::new(values)))

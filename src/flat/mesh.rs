@@ -206,6 +206,35 @@ impl Texels {
         self.len() == 0
     }
 
+    /// The values as they are in memory.
+    pub fn bytes(&self) -> &[u8] {
+        match self {
+            Self::U8(values) => values,
+            Self::U16(values) | Self::Half(values) => bytemuck::cast_slice(values),
+            Self::Float(values) => bytemuck::cast_slice(values),
+        }
+    }
+
+    /// Map, and range in bytes, of values that are in a file.
+    pub fn map(&self) -> Option<(&memmap2::Mmap, usize, usize)> {
+        match self {
+            Self::U8(values) => values.map(),
+            Self::U16(values) | Self::Half(values) => values.map(),
+            Self::Float(values) => values.map(),
+        }
+    }
+
+    /// `len` values of this format from byte `offset` of a map on, a multiple of 64.
+    pub fn mapped(&self, map: &std::sync::Arc<memmap2::Mmap>, offset: usize, len: usize) -> Self {
+        let map = map.clone();
+        match self {
+            Self::U8(_) => Self::U8(Array::mapped(map, offset, len)),
+            Self::U16(_) => Self::U16(Array::mapped(map, offset, len)),
+            Self::Half(_) => Self::Half(Array::mapped(map, offset, len)),
+            Self::Float(_) => Self::Float(Array::mapped(map, offset, len)),
+        }
+    }
+
     /// Bytes of one value.
     pub fn size(&self) -> usize {
         match self {

@@ -80,7 +80,8 @@ pub struct RenderSettings {
     pub cache_resolution: u32,
     /// `auto`, or a boundary for every medium: `diffuse`, `dielectric`, `indexMatched`.
     pub subsurface_boundary: String,
-    /// Megabytes for the images of materials; the largest are kept coarser where they do not fit. 0: no bound.
+    /// Megabytes for the images of materials: where they are more, they are in scratch files and read as they are looked
+    /// at. 0: no bound.
     pub texture_memory: u32,
     /// Camera rays see area lights.
     pub lights_visible_to_camera: bool,

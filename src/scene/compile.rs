@@ -363,6 +363,8 @@ impl Builder<'_> {
         needs.mesh_lights = instances.iter().filter(|i| i.light.is_some()).count() as u32;
         needs.textures = (self.flat.textures.len() + self.images.len()) as u32;
         needs.texture_bytes = self.images.values().map(|image| image.memory() as u64).sum();
+        needs.paged_images = self.images.values().filter(|image| image.is_paged()).count() as u32;
+        needs.texture_memory = self.flat.settings.texture_memory;
         needs.depth_of_field = camera.has_depth_of_field();
         needs.aovs = self.flat.settings.aovs.clone();
         for coating in &self.surfaces {

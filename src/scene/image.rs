@@ -1,14 +1,17 @@
-//! Images of materials, in memory as their file has them, with a pyramid of coarser levels.
+//! Images of materials, as their file has them, with a pyramid of coarser levels: in memory, or in tiles of a scratch file
+//! (`paged`) where all together are more than may be in memory.
 //!
 //! Texels are decoded where they are read; filters work on linear values. A level is the box filter of the one
 //! before it: its area mean.
 
+use super::paged::{Residency, Scratch, release};
 use crate::error::Warning;
 use crate::flat::{self, Prims, Texels, Wrap};
 use glam::{Vec2, Vec4};
 use half::f16;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
+use std::io::{self, Write};
 use std::sync::{Arc, LazyLock};
 
 /// Compiled images by key; an edit removes the entries that it makes stale.
@@ -19,12 +22,33 @@ pub struct Image {
     srgb: bool,
     /// Finest first.
     levels: Vec<Level>,
+    /// Where the levels are; `None`: in memory.
+    scratch: Option<Arc<Scratch>>,
 }
 
 struct Level {
     width: usize,
     height: usize,
     texels: Texels,
+    /// Tiles per row of tiles; 0: rows of texels.
+    tiles: usize,
+    /// First byte in the scratch file.
+    start: usize,
+}
+
+/// Side of a tile, texels: its bytes are a chunk of pages at most, or a few.
+const TILE: usize = 64;
+/// Of arrays in a map.
+const ALIGNMENT: usize = 64;
+
+impl Level {
+    /// Where a texel is among the texels.
+    fn index(&self, x: usize, y: usize) -> usize {
+        match self.tiles {
+            0 => y * self.width + x,
+            tiles => ((y / TILE) * tiles + x / TILE) * (TILE * TILE) + (y % TILE) * TILE + x % TILE,
+        }
+    }
 }
 
 /// How a lookup treats an image.
@@ -48,23 +72,68 @@ fn linear_to_srgb(v: f32) -> f32 {
 }
 
 impl Image {
-    /// `None` where there are no texels.
+    /// In memory; `None` where there are no texels.
     pub fn compile(image: &flat::Image) -> Option<Self> {
-        let (width, height, channels) = (image.width as usize, image.height as usize, image.channels as usize);
-        let mut levels = vec![Level { width, height, texels: image.texels.clone() }];
+        let (width, height) = (image.width as usize, image.height as usize);
         (!image.texels.is_empty()).then_some(())?;
-        let mut linear: Option<Vec<f32>> = None;
-        while let Some(finer) = levels.last().filter(|level| level.width > 1 || level.height > 1) {
-            let [w, h] = [finer.width, finer.height].map(|n| (n / 2).max(1));
-            let decoded = |i: usize, c: usize| match &linear {
-                Some(linear) => linear[i * channels + c],
-                None => decode(&image.texels, i * channels + c, image.srgb && is_color(c, channels)),
+        let mut levels = vec![Level { width, height, texels: image.texels.clone(), tiles: 0, start: 0 }];
+        coarser(image, |width, height, texels| levels.push(Level { width, height, texels, tiles: 0, start: 0 }));
+        Some(Self { channels: image.channels as usize, srgb: image.srgb, levels, scratch: None })
+    }
+
+    /// In tiles, in a scratch file; of an image with texels.
+    ///
+    /// # Errors
+    /// What the file system says.
+    fn paged(image: &flat::Image, residency: &Arc<Residency>) -> io::Result<Self> {
+        let channels = image.channels as usize;
+        let mut levels = Vec::new();
+        let mut end = 0;
+        let scratch = Scratch::create(residency, |file| {
+            // Level 0 of the description, rows as they are: what is saved or compiled again comes from there.
+            file.write_all(image.texels.bytes())?;
+            end = image.texels.bytes().len();
+            let mut put = |width: usize, height: usize, texels: &Texels| {
+                let tiles = if width.max(height) > TILE { width.div_ceil(TILE) } else { 0 };
+                let start = end.next_multiple_of(ALIGNMENT);
+                file.write_all(&[0; ALIGNMENT][..start - end])?;
+                end = start + write_level(file, texels, [width, height], channels * texels.size(), tiles)?;
+                levels.push((width, height, tiles, start, (end - start) / texels.size()));
+                Ok(())
             };
-            let coarser = shrink([finer.width, finer.height], [w, h], channels, decoded);
-            levels.push(Level { width: w, height: h, texels: encode(&image.texels, &coarser, channels, image.srgb) });
-            linear = Some(coarser);
+            let mut written = put(image.width as usize, image.height as usize, &image.texels);
+            coarser(image, |width, height, texels| {
+                if written.is_ok() {
+                    written = put(width, height, &texels);
+                }
+            });
+            written
+        })?;
+        if let Some((map, offset, len)) = image.texels.map() {
+            release(map, offset, len);
         }
-        Some(Self { channels, srgb: image.srgb, levels })
+        let level = |(width, height, tiles, start, len)| Level {
+            width,
+            height,
+            texels: image.texels.mapped(scratch.map(), start, len),
+            tiles,
+            start,
+        };
+        let levels = levels.into_iter().map(level).collect();
+        Ok(Self { channels, srgb: image.srgb, levels, scratch: Some(scratch) })
+    }
+
+    /// The texels of a paged image as they were described.
+    fn finest(&self) -> Texels {
+        let level = &self.levels[0];
+        match &self.scratch {
+            Some(scratch) => level.texels.mapped(scratch.map(), 0, level.width * level.height * self.channels),
+            None => level.texels.clone(),
+        }
+    }
+
+    pub fn is_paged(&self) -> bool {
+        self.scratch.is_some()
     }
 
     pub fn memory(&self) -> usize {
@@ -133,7 +202,10 @@ impl Image {
             let (Some(x), Some(y)) = (wrapped(x, level.width, how.wrap_s), wrapped(y, level.height, how.wrap_t)) else {
                 return how.border;
             };
-            let i = (y * level.width + x) * n;
+            let i = level.index(x, y) * n;
+            if let Some(scratch) = &self.scratch {
+                scratch.touch(level.start + i * level.texels.size());
+            }
             match n {
                 1 => Vec4::splat(color(i)).with_w(1.0),
                 2 => Vec4::splat(color(i)).with_w(alpha(i + 1)),
@@ -214,6 +286,50 @@ fn encode(like: &Texels, linear: &[f32], channels: usize, srgb: bool) -> Texels 
     }
 }
 
+/// The levels behind the finest, each with its size.
+fn coarser(image: &flat::Image, mut take: impl FnMut(usize, usize, Texels)) {
+    let channels = image.channels as usize;
+    let mut from = [image.width as usize, image.height as usize];
+    let mut linear: Option<Vec<f32>> = None;
+    while from[0] > 1 || from[1] > 1 {
+        let to = from.map(|n| (n / 2).max(1));
+        let decoded = |i: usize, c: usize| match &linear {
+            Some(linear) => linear[i * channels + c],
+            None => decode(&image.texels, i * channels + c, image.srgb && is_color(c, channels)),
+        };
+        let coarser = shrink(from, to, channels, decoded);
+        take(to[0], to[1], encode(&image.texels, &coarser, channels, image.srgb));
+        (linear, from) = (Some(coarser), to);
+    }
+}
+
+/// Writes texels of `size` bytes in rows, or in `tiles` per row of tiles; how many bytes.
+fn write_level(
+    file: &mut impl Write,
+    texels: &Texels,
+    [width, height]: [usize; 2],
+    size: usize,
+    tiles: usize,
+) -> io::Result<usize> {
+    let bytes = texels.bytes();
+    if tiles == 0 {
+        file.write_all(bytes)?;
+        return Ok(bytes.len());
+    }
+    let mut tile = vec![0; TILE * TILE * size];
+    let rows = height.div_ceil(TILE);
+    for (ty, tx) in (0..rows).flat_map(|ty| (0..tiles).map(move |tx| (ty, tx))) {
+        let across = TILE.min(width - tx * TILE) * size;
+        for y in 0..TILE.min(height - ty * TILE) {
+            let from = ((ty * TILE + y) * width + tx * TILE) * size;
+            tile[y * TILE * size..][..across].copy_from_slice(&bytes[from..from + across]);
+        }
+        // What is beyond the image is not looked at.
+        file.write_all(&tile)?;
+    }
+    Ok(rows * tiles * tile.len())
+}
+
 /// Area means of `value(texel, channel)`.
 fn shrink(
     [w, h]: [usize; 2],
@@ -263,41 +379,42 @@ fn bytes(image: &flat::Image) -> usize {
     image.texels.len() * image.texels.size() / 3 * 4
 }
 
-/// Halves the largest images until all fit into `megabytes` (0: no bound); the files that lost levels are named.
-pub fn fit_images(images: &mut Prims<flat::Image>, cache: &mut ImageCache, megabytes: u32) -> Vec<Warning> {
-    let budget = megabytes as usize * 1_000_000;
-    let mut total: usize = images.values().map(bytes).sum();
-    let mut halved: BTreeMap<String, [u32; 2]> = BTreeMap::new();
-    while megabytes > 0 && total > budget {
-        let Some((key, image)) = images.iter_mut().max_by_key(|(_, image)| bytes(image)) else { break };
-        if image.width.max(image.height) <= 1 {
-            break;
-        }
-        total -= bytes(image);
-        halved.entry(key.clone()).or_insert([image.width, image.height]);
-        halve(image);
-        cache.remove(key);
-        total += bytes(image);
+/// Where all images together exceed `bound` bytes (0: none), moves those that are not there yet into scratch files, the
+/// described texels included, and bounds what of the files is in memory.
+///
+/// An image that no file can be written for stays in memory, which is said.
+pub fn page_out(
+    images: &mut Prims<flat::Image>,
+    cache: &mut ImageCache,
+    residency: &Arc<Residency>,
+    bound: usize,
+) -> Vec<Warning> {
+    residency.set_bound(bound);
+    let mut warnings = Vec::new();
+    if bound == 0 || images.values().map(bytes).sum::<usize>() <= bound {
+        return warnings;
     }
-    let said = |(key, [w, h]): (String, [u32; 2])| {
-        let image = &images[&key];
-        let message = format!(
-            "{}: kept with {} x {} of its {w} x {h} texels, all images together exceed textureMemory ({megabytes} MB); \
-             raise it",
-            image.file, image.width, image.height
-        );
-        Warning::new(key, message)
-    };
-    halved.into_iter().map(said).collect()
-}
-
-fn halve(image: &mut flat::Image) {
-    let (from, channels) = ([image.width as usize, image.height as usize], image.channels as usize);
-    let to = from.map(|n| (n / 2).max(1));
-    let value = |i: usize, c: usize| decode(&image.texels, i * channels + c, image.srgb && is_color(c, channels));
-    let linear = shrink(from, to, channels, value);
-    image.texels = encode(&image.texels, &linear, channels, image.srgb);
-    (image.width, image.height) = (to[0] as u32, to[1] as u32);
+    for (key, image) in images.iter_mut() {
+        if image.texels.is_empty() || cache.get(key).is_some_and(|compiled| compiled.scratch.is_some()) {
+            continue;
+        }
+        match Image::paged(image, residency) {
+            Ok(compiled) => {
+                image.texels = compiled.finest();
+                cache.insert(key.clone(), Arc::new(compiled));
+            }
+            Err(error) => {
+                let place = std::env::temp_dir();
+                let message = format!(
+                    "{}: textureMemory: no scratch file in {} ({error}); it is kept in memory: set TMPDIR",
+                    image.file,
+                    place.display()
+                );
+                warnings.push(Warning::new(key, message));
+            }
+        }
+    }
+    warnings
 }
 
 #[cfg(test)]
@@ -378,23 +495,42 @@ mod tests {
     }
 
     #[test]
-    fn images_are_halved_until_they_fit() {
-        let big = image(1000, 1, false, Texels::Float(vec![0.5; 1_000_000].into()));
+    fn paged_images_are_the_same_bit_for_bit() {
+        let noise = |n: usize| (0..n).map(move |i| (i.wrapping_mul(2_654_435_761) >> 7) as u8);
+        let half = |v: u8| f16::from_f32(f32::from(v) / 7.0).to_bits();
+        let formats: [(u32, Texels); 4] = [
+            (3, Texels::U8(noise(3 * 201 * 133).collect::<Vec<_>>().into())),
+            (1, Texels::U16(noise(201 * 133).map(|v| 257 * u16::from(v)).collect::<Vec<_>>().into())),
+            (2, Texels::Half(noise(2 * 201 * 133).map(half).collect::<Vec<_>>().into())),
+            (4, Texels::Float(noise(4 * 201 * 133).map(f32::from).collect::<Vec<_>>().into())),
+        ];
+        for (channels, texels) in formats {
+            let flat = image(201, channels, channels == 3, texels);
+            let residency = Arc::new(Residency::default());
+            let mut images: Prims<flat::Image> = [("a".into(), flat.clone())].into();
+            let mut cache = ImageCache::new();
+            // The smallest bound: a chunk.
+            assert!(page_out(&mut images, &mut cache, &residency, 1).is_empty());
+            assert_eq!(images["a"], flat);
+            let (plain, paged) = (Image::compile(&flat).unwrap(), &cache["a"]);
+            assert!(paged.is_paged() && paged.levels.len() == plain.levels.len());
+            for i in 0..4000 {
+                let st = Vec2::new(i as f32 * 0.618, i as f32 * 0.414);
+                let across = Some([Vec2::splat(0.5_f32.powi(i % 9)), Vec2::Y]);
+                for wrap in [Wrap::Repeat, Wrap::Mirror] {
+                    assert_eq!(plain.at(st, across, &how(wrap)), paged.at(st, across, &how(wrap)));
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn images_that_fit_stay_in_memory() {
         let small = image(10, 1, false, Texels::U8(vec![9; 100].into()));
-        let mut images: Prims<flat::Image> = [("big".into(), big), ("small".into(), small)].into();
-        let mut cache = ImageCache::new();
-        build_images(&images, &mut cache);
-        assert!(fit_images(&mut images, &mut cache, 6).is_empty());
-        let warnings = fit_images(&mut images, &mut cache, 1);
-        assert_eq!(warnings.len(), 1);
-        assert!(
-            warnings[0].message.starts_with("a.png: kept with 250 x 250 of its 1000 x 1000 texels"),
-            "{warnings:?}"
-        );
-        assert!(!cache.contains_key("big") && cache.contains_key("small"));
-        build_images(&images, &mut cache);
-        let total: usize = cache.values().map(|image| image.memory()).sum();
-        assert!(total <= 1_000_000, "{total}");
-        assert_eq!(cache["big"].at(Vec2::ZERO, None, &how(Wrap::Clamp)).x, 0.5);
+        let mut images: Prims<flat::Image> = [("small".into(), small)].into();
+        let (mut cache, residency) = (ImageCache::new(), Arc::new(Residency::default()));
+        for bound in [0, 1_000_000] {
+            assert!(page_out(&mut images, &mut cache, &residency, bound).is_empty() && cache.is_empty());
+        }
     }
 }

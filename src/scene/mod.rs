@@ -9,13 +9,15 @@ mod geometry;
 mod image;
 mod needs;
 mod network;
+mod paged;
 
 pub use compile::{CompileStats, Kept, compile};
 pub use driven::Driven;
 pub use enclosure::{BoundaryHit, InstanceEnclosure};
 pub use geometry::{Attribute, Geometry};
-pub use image::fit_images;
+pub use image::page_out;
 pub use needs::{Explanation, Needs};
+pub use paged::{Residency, release};
 
 use crate::bsdf::{Boundary, Side, Surface};
 use crate::camera::Camera;

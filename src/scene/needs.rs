@@ -23,6 +23,9 @@ pub struct Needs {
     pub textures: u32,
     /// Of the images of materials, all levels.
     pub texture_bytes: u64,
+    /// Those of them that are in scratch files, of which `texture_memory` megabytes at most are in memory.
+    pub paged_images: u32,
+    pub texture_memory: u32,
     /// Surfaces with inputs that are driven: compiled anew at every point.
     pub driven_surfaces: u32,
     /// Media by boundary.
@@ -55,6 +58,15 @@ impl Needs {
     fn subdivision(&self) -> String {
         let Self { refined_meshes, refined_triangles, cages, .. } = self;
         format!("{refined_meshes} surfaces refined to {refined_triangles} triangles, {cages} left as cages")
+    }
+
+    fn images(&self) -> String {
+        let Self { textures, texture_bytes, paged_images, texture_memory, .. } = self;
+        let all = format!("{textures} images, {:.1} MB for materials", *texture_bytes as f64 / 1e6);
+        if *paged_images == 0 {
+            return all;
+        }
+        format!("{all}: {paged_images} in scratch files, {texture_memory} MB of them in memory")
     }
 
     fn not_refined(&self) -> String {
@@ -132,12 +144,7 @@ impl Needs {
                 count(self.infinite_lights, "dome or distant lights"),
                 "no dome, no distant light with an angle",
             ),
-            line(
-                "textures",
-                self.textures > 0,
-                format!("{}, {:.1} MB for materials", count(self.textures, "images"), self.texture_bytes as f64 / 1e6),
-                "no image on anything that is rendered",
-            ),
+            line("textures", self.textures > 0, self.images(), "no image on anything that is rendered"),
             line(
                 "driven surfaces",
                 self.driven_surfaces > 0,

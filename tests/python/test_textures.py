@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -440,20 +443,57 @@ def test_coordinates_that_are_transformed_choose_their_level(tmp_path):
     np.testing.assert_allclose(middles(image, 1), 0.5, atol=0.003)
 
 
-def test_texture_memory_is_kept_and_said(tmp_path):
-    file = write(tmp_path / "big.exr", np.full((1024, 1024, 4), 0.5), "float")
-    small = write(tmp_path / "small.exr", np.full((2, 2, 3), 0.25), "float")
-    nodes = texture(file) + shader(
-        "T2", "UsdUVTexture", f"asset inputs:file = @{small}@", "float3 outputs:rgb"
+ATLAS = 100
+"""Images of 384 x 384 texels, 0.59 MB with their levels."""
+
+
+@pytest.fixture(scope="module")
+def atlas(tmp_path_factory):
+    """A stage of a square of 10 x 10 UDIM tiles that shows texels of the finest levels, all of them over a picture."""
+    folder = tmp_path_factory.mktemp("atlas")
+    rng = np.random.default_rng(11)
+    for i in range(ATLAS):
+        write(folder / f"a.{1001 + i}.tif", rng.random((384, 384, 3)))
+        write(folder / f"small.{1001 + i}.tif", rng.random((2, 2, 3)))
+    nodes = shader(
+        "T",
+        "ND_image_color3",
+        f"asset inputs:file = @{folder}/a.<UDIM>.tif@",
+        'string inputs:filtertype = "closest"',
+        "color3f outputs:out",
     )
-    text = glowing(nodes, "T.outputs:rgb", "color3f inputs:specularColor.connect = </Look/T2.outputs:rgb>")
-    body = text + quads(1, primvar("st", "texCoord2f", [(0.5, 0.5)]))
-    plain, tight = render(body, 1), render(body, 1, textureMemory=2)
-    assert plain.stats["warnings"] == [] and plain.stats["needs"]["texture_bytes"] > 20e6
-    assert tight.stats["needs"]["texture_bytes"] <= 2e6
-    ((message),) = [w["message"] for w in tight.stats["warnings"]]
-    assert "big.exr" in message and "256 x 256 of its 1024 x 1024" in message and "textureMemory" in message
-    np.testing.assert_array_equal(plain.color, tight.color)
+    square = quads(1, primvar("st", "texCoord2f", [(0, 0), (10, 0), (10, 10), (0, 10)], "faceVarying"))
+    (folder / "atlas.usda").write_text("#usda 1.0\n" + glowing(nodes, "T.outputs:out") + square + camera(1))
+    return folder / "atlas.usda"
+
+
+def drawn(stage: Path, out: Path, **settings: object) -> tuple[np.ndarray, dict]:
+    """Image and statistics of a render in a process of its own."""
+    code = (
+        "import sys, json, numpy as np, dermis\n"
+        "image = dermis.render(sys.argv[1], camera='/Eye', **json.loads(sys.argv[3]))\n"
+        "np.save(sys.argv[2], image.color); print(json.dumps(image.stats))"
+    )
+    settings = {"resolution": [320, 320], "samples": 4, "aovs": [], **settings}
+    command = [sys.executable, "-c", code, str(stage), str(out), json.dumps(settings)]
+    said = subprocess.run(command, check=True, capture_output=True, text=True)
+    return np.load(out), json.loads(said.stdout)
+
+
+def test_texture_memory_bounds_memory_and_changes_no_picture(atlas, tmp_path):
+    whole, free = drawn(atlas, tmp_path / "a.npy", threads=2)
+    bounded, tight = drawn(atlas, tmp_path / "b.npy", threads=2, textureMemory=8)
+    alone, _ = drawn(atlas, tmp_path / "c.npy", threads=1, textureMemory=8)
+    np.testing.assert_array_equal(whole, bounded)
+    np.testing.assert_array_equal(whole, alone)
+    assert len(np.unique(whole[..., 0])) > 200
+    assert free["needs"]["paged_images"] == 0 and tight["needs"]["paged_images"] == ATLAS
+    assert free["needs"]["texture_bytes"] > 55e6 and tight["warnings"] == []
+    # Beside the 8 MB: the image under way, decoded twice, and its levels in floats.
+    (tmp_path / "small.usda").write_text(atlas.read_text().replace("a.<UDIM>.tif", "small.<UDIM>.tif"))
+    _, small = drawn(tmp_path / "small.usda", tmp_path / "d.npy", threads=2)
+    above = [stats["peak_rss_bytes"] - small["peak_rss_bytes"] for stats in (free, tight)]
+    assert above[0] > 50e6 and above[1] < 8e6 + 12e6, above
 
 
 # MaterialX.

@@ -81,6 +81,8 @@ def render(
         flat = flatten(stage, time, options)
         ensure_camera(stage, time, flat, settings)
         delegate = core()
+        # First, since what is synced may ask for them.
+        flat.settings.update(settings)
         populate(delegate, flat)
     if settings:
         delegate.set_settings(json.dumps(settings, allow_nan=False))
