@@ -160,9 +160,13 @@ pub struct Instancer {
     pub visible: bool,
     /// Prototype root to world, one per instance.
     pub transforms: Array<Matrix4d>,
-    /// One per instance, in place of the meshes' own; empty: theirs.
+    /// One per instance, in place of the meshes' own; empty, and for instances with NaN: theirs.
     #[serde(skip_serializing_if = "is_empty")]
     pub display_color: Array<[f32; 3]>,
+    /// Those that networks read, one value per instance in place of the meshes' own; NaN: theirs. Interpolation says
+    /// nothing here.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub primvars: BTreeMap<String, AnyPrimvar>,
 }
 
 fn is_empty(values: &Array<[f32; 3]>) -> bool {

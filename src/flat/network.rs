@@ -22,6 +22,11 @@ impl Network {
         self.inputs.is_empty()
     }
 
+    /// Names of the primvars that it reads.
+    pub fn primvars(&self) -> impl Iterator<Item = &String> {
+        self.nodes.iter().filter_map(|node| if let Node::Primvar { varname, .. } = node { Some(varname) } else { None })
+    }
+
     /// Keys of the images that it reads.
     pub fn images(&self) -> impl Iterator<Item = &String> {
         let tiles =

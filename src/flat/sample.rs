@@ -54,7 +54,10 @@ pub(crate) fn scene() -> FlatScene {
     scene.meshes.insert("/leaf".into(), Mesh { instancer: "/tree".into(), ..cube() });
     let transforms = vec![IDENTITY, [[2.0, 0.0, 0.0, 0.0], IDENTITY[1], IDENTITY[2], [3.0, 4.0, 5.0, 1.0]]];
     let display_color = vec![[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]].into();
-    scene.instancers.insert("/tree".into(), Instancer { visible: true, transforms: transforms.into(), display_color });
+    scene.instancers.insert(
+        "/tree".into(),
+        Instancer { visible: true, transforms: transforms.into(), display_color, ..Instancer::default() },
+    );
     scene.materials.insert("/looks/skin".into(), Material::default());
     scene.materials.insert("/looks/wax".into(), Material::OpenPbr(OpenPbrSurface::default()));
     scene.materials.insert("/looks/jade".into(), Material::StandardSurface(StandardSurface::default()));

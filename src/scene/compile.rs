@@ -3,20 +3,20 @@
 use super::accel::{Aabb, Tlas};
 use super::displace::Displacement;
 use super::image::{ImageCache, build_images};
-use super::{Coating, Driven, Geometry, Instance, Interior, Needs, Scene};
+use super::{Coating, Driven, Geometry, Instance, InstancePrimvars, Interior, Needs, Scene};
 use crate::bsdf::{self, Boundary, InteriorAlbedo, OfMesh, Surface};
 use crate::camera::Camera;
 use crate::error::{Error, Result, Warning};
-use crate::flat::{self, FlatScene, LightShape};
+use crate::flat::{self, AnyPrimvar, FlatScene, LightShape};
 use crate::light::Lights;
 use crate::math::{Affine, Rgb};
 use crate::medium::Medium;
 use crate::subdivision::level_of;
 use crate::subsurface::inversion::{Illumination, single_scattering_albedo};
-use glam::{DVec3, Mat3, Vec3};
+use glam::{DVec3, Mat3, Vec3, Vec4};
 use rayon::prelude::*;
 use serde::Serialize;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 /// Compiled geometry by mesh path; an edit removes the entries that it makes stale.
@@ -181,7 +181,8 @@ impl Builder<'_> {
             self.needs.meshes += 1;
             self.needs.triangles += geometry.triangles.len() as u64;
             self.needs.instanced += placements.len() as u32 - 1;
-            for (to_render, display_color) in placements {
+            let primvars = self.instance_primvars(mesh);
+            for (i, to_render, display_color) in placements {
                 let translated = to_render.linear == Mat3::IDENTITY;
                 let instance = Instance {
                     geometry: geometry.clone(),
@@ -190,6 +191,7 @@ impl Builder<'_> {
                     prim_id: prim_id as i32,
                     light: None,
                     display_color,
+                    primvars: primvars.clone().map(|primvars| (primvars, i as u32)),
                     translated,
                 };
                 if let Some(triangles) = emitters.get_mut(path) {
@@ -233,23 +235,36 @@ impl Builder<'_> {
         }
     }
 
-    /// Where a mesh stands, and the colour that an instancer gives it there.
-    fn placements(&mut self, path: &str, mesh: &flat::Mesh, centre: DVec3) -> Vec<(Affine, Option<Vec3>)> {
-        let mut place = |m: &flat::Matrix4d, color: Option<&[f32; 3]>| {
+    /// Those of its instancer; `None` where no material of the mesh reads primvars.
+    fn instance_primvars(&self, mesh: &flat::Mesh) -> Option<Arc<InstancePrimvars>> {
+        let instancer = self.flat.instancers.get(&mesh.instancer).filter(|i| !i.primvars.is_empty())?;
+        let worn = std::iter::once(&mesh.material).chain(mesh.geom_subsets.iter().map(|subset| &subset.material));
+        let networks = worn.filter_map(|name| Some(self.flat.materials.get(name)?.network()));
+        let read: BTreeSet<&String> = networks.flat_map(|network| network.primvars()).collect();
+        let chosen = instancer.primvars.iter().filter(|(name, _)| read.contains(name));
+        let primvars: InstancePrimvars = chosen.map(|(name, primvar)| (name.clone(), lanes(primvar))).collect();
+        (!primvars.is_empty()).then(|| Arc::new(primvars))
+    }
+
+    /// Where a mesh stands, as which instance, and the colour that an instancer gives it there.
+    fn placements(&mut self, path: &str, mesh: &flat::Mesh, centre: DVec3) -> Vec<(usize, Affine, Option<Vec3>)> {
+        let mut place = |i: usize, m: &flat::Matrix4d, color: Option<&[f32; 3]>| {
             let placed = Affine::from_usd(m, centre, self.origin);
             if placed.is_none() {
                 self.warnings
                     .push(Warning::new(path, "xformOp: the transform has no inverse in f32; placement left out"));
             }
-            placed.map(|placed| (placed, color.map(|c| Vec3::from(*c).clamp(Vec3::ZERO, Vec3::ONE))))
+            // NaN: the instance has none.
+            let color = color.map(|c| Vec3::from(*c)).filter(|c| c.is_finite());
+            placed.map(|placed| (i, placed, color.map(|c| c.clamp(Vec3::ZERO, Vec3::ONE))))
         };
         if mesh.instancer.is_empty() {
-            return place(&mesh.transform, None).into_iter().collect();
+            return place(0, &mesh.transform, None).into_iter().collect();
         }
         let Some(instancer) = self.flat.instancers.get(&mesh.instancer).filter(|i| i.visible) else {
             return Vec::new();
         };
-        let placed = |(i, m)| place(&multiply(&mesh.transform, m), instancer.display_color.get(i));
+        let placed = |(i, m)| place(i, &multiply(&mesh.transform, m), instancer.display_color.get(i));
         instancer.transforms.iter().enumerate().filter_map(placed).collect()
     }
 
@@ -387,6 +402,16 @@ impl Builder<'_> {
             needs.rgb_media |= differs(medium.sigma_t) || differs(medium.albedo);
             needs.anisotropic_media |= medium.g != 0.0;
         }
+    }
+}
+
+/// As `Values::at` has them: one number fills all lanes, a shorter vector has zeros behind it.
+fn lanes(primvar: &AnyPrimvar) -> Vec<Vec4> {
+    match primvar {
+        AnyPrimvar::Float(primvar) => primvar.values.iter().map(|v| Vec4::splat(*v)).collect(),
+        AnyPrimvar::Float2(primvar) => primvar.values.iter().map(|v| Vec4::new(v[0], v[1], 0.0, 0.0)).collect(),
+        AnyPrimvar::Float3(primvar) => primvar.values.iter().map(|v| Vec3::from(*v).extend(0.0)).collect(),
+        AnyPrimvar::Float4(primvar) => primvar.values.iter().map(|v| Vec4::from(*v)).collect(),
     }
 }
 

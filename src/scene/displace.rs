@@ -96,7 +96,14 @@ fn offsets(surface: &Surface, i: usize, programs: &[Option<(Program, usize)>]) -
     std::array::from_fn(|k| {
         let at = corners[k];
         let across = Some([corners[(k + 1) % 3] - at, corners[(k + 2) % 3] - at]);
-        let lookup = Lookup { primvars: surface.primvars, triangle: i, corners: surface.triangles[i], at, across };
+        let lookup = Lookup {
+            primvars: surface.primvars,
+            instance: None,
+            triangle: i,
+            corners: surface.triangles[i],
+            at,
+            across,
+        };
         program.run(&lookup, |value| value(*step).x)
     })
 }

@@ -162,6 +162,7 @@ impl Driven {
         let mut typical = interned(material);
         let lookup = Lookup {
             primvars: &geometry.primvars,
+            instance: None,
             triangle: 0,
             corners: geometry.triangles.first().copied()?,
             at: Vec2::splat(1.0 / 3.0),

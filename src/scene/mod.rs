@@ -26,7 +26,8 @@ use crate::light::{Lights, ShapeHit};
 use crate::math::{Affine, Frame};
 use crate::medium::Medium;
 use accel::{Ray, Tlas};
-use glam::{Vec2, Vec3};
+use glam::{Vec2, Vec3, Vec4};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// The inside of a surface that has one.
@@ -35,6 +36,9 @@ pub struct Interior {
     pub boundary: Boundary,
     pub medium: Medium,
 }
+
+/// Values by name and instance; NaN: none.
+pub type InstancePrimvars = BTreeMap<String, Vec<Vec4>>;
 
 /// A placement of a geometry.
 pub struct Instance {
@@ -48,6 +52,8 @@ pub struct Instance {
     pub light: Option<(u32, u32)>,
     /// In place of the geometry's.
     pub display_color: Option<Vec3>,
+    /// Those of its instancer that materials read, and which of their values are its own.
+    pub primvars: Option<(Arc<InstancePrimvars>, u32)>,
     /// The linear part is the identity: rays need no rotation.
     pub(crate) translated: bool,
 }
@@ -260,6 +266,7 @@ impl Scene {
         let geometry = &instance.geometry;
         let lookup = network::Lookup {
             primvars: &geometry.primvars,
+            instance: instance.primvars.as_ref().map(|(primvars, i)| (&**primvars, *i as usize)),
             triangle: si.triangle as usize,
             corners: geometry.triangles[si.triangle as usize],
             at: si.barycentric,

@@ -3,6 +3,7 @@
 //! What leads to texture coordinates is computed at three points, the hit and two beside it across the ray's
 //! footprint, so that an image knows how much of it is seen whatever transforms its coordinates.
 
+use super::InstancePrimvars;
 use super::geometry::Values;
 use super::image::{Image, ImageCache, Sampling};
 use crate::flat::{Network, Node, Op, Wrap};
@@ -15,6 +16,8 @@ use std::sync::Arc;
 #[derive(Clone, Copy)]
 pub struct Lookup<'a> {
     pub primvars: &'a BTreeMap<String, Values>,
+    /// Those of the instance, in place of the others, and which of their values are its own.
+    pub instance: Option<(&'a InstancePrimvars, usize)>,
     pub triangle: usize,
     /// Points of the triangle.
     pub corners: [u32; 3],
@@ -114,9 +117,10 @@ impl Step {
         };
         match self {
             Self::Constant(value) => [*value; 3],
-            Self::Primvar(name, fallback) => match at.primvars.get(name) {
-                Some(values) => points(&|k| at.primvar(values, k)),
-                None => [*fallback; 3],
+            Self::Primvar(name, fallback) => match (at.of_instance(name), at.primvars.get(name)) {
+                (Some(value), _) => [value; 3],
+                (None, Some(values)) => points(&|k| at.primvar(values, k)),
+                (None, None) => [*fallback; 3],
             },
             Self::Image(image) => [image.value(at, &before[image.st]); 3],
             Self::Math(op, args) => points(&|k| math(*op, args.map(|arg| before[arg][k]))),
@@ -128,6 +132,11 @@ impl Step {
 }
 
 impl Lookup<'_> {
+    fn of_instance(&self, name: &str) -> Option<Vec4> {
+        let (primvars, i) = self.instance?;
+        primvars.get(name).map(|values| values[i]).filter(|value| !value.x.is_nan())
+    }
+
     /// At the point (0) or beside it (1, 2).
     fn primvar(&self, values: &Values, k: usize) -> Vec4 {
         let offset = match (k.checked_sub(1), self.across) {

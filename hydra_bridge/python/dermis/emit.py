@@ -8,7 +8,7 @@ from pxr import Gf, Usd
 
 from .bindings import bound_materials
 from .camera import flatten_camera
-from .instancer import Matrices, nested
+from .instancer import Matrices, Placements, nested
 from .light import flatten_light
 from .material import flatten_material
 from .mesh import MESH_TYPES, flatten_mesh, flatten_read_primvars, flatten_subsets
@@ -39,23 +39,23 @@ class Emitter:
         # Meshes whose primvars wait for their materials to say which they read.
         self.meshes: list[tuple[Found, Prim]] = []
 
-    def emit(self, placements: dict[Frame, Matrices]) -> dict[str, Prim]:
+    def emit(self, placements: dict[Frame, Placements]) -> dict[str, Prim]:
         """Flat prims by key, from the frames and their world placements."""
-        for frame, matrices in placements.items():
-            if len(matrices):
-                self.frame(frame, matrices)
+        for frame, of_frame in placements.items():
+            if len(of_frame):
+                self.frame(frame, of_frame)
         self.bind()
         for found, mesh in self.meshes:
             self.guarded(found, lambda found=found, mesh=mesh: self.read_primvars(found, mesh))
         return {**self.prims, **self.textures, **self.images}
 
-    def frame(self, frame: Frame, matrices: Matrices) -> None:
+    def frame(self, frame: Frame, placements: Placements) -> None:
         is_world = frame.root == 0
         instancer = "" if is_world else f"{frame.base}.instances"
         for found in frame.found:
-            self.guarded(found, lambda found=found: self.prim(found, matrices, instancer))
+            self.guarded(found, lambda found=found: self.prim(found, placements, instancer))
         if instancer in self.instancers:
-            self.prims[instancer] = {"type": "Instancer", "visible": True, "transforms": matrices}
+            self.prims[instancer] = self.instancer(placements)
 
     def guarded(self, found: Found, emit: Callable[[], None]) -> None:
         try:
@@ -63,13 +63,14 @@ class Emitter:
         except Exception as error:  # one bad prim must not cost the picture
             self.reader.warn(found.prim, f"cannot be read ({error}); it is not rendered")
 
-    def prim(self, found: Found, matrices: Matrices, instancer: str) -> None:
+    def prim(self, found: Found, placements: Placements, instancer: str) -> None:
+        matrices = placements.matrices
         if found.kind == "Camera":
             # A camera inside instances counts once, where the first of them stands.
             matrix = Gf.Matrix4d(*np.ravel(local_to_world(found, matrices)[0]))
             self.prims[found.key] = flatten_camera(found.prim, self.reader, matrix)
         elif found.kind == "Points":
-            self.points(found, matrices)
+            self.points(found, placements)
         elif found.kind not in MESH_TYPES:
             textures = self.textures if found.context.visible else None
             light = flatten_light(found.prim, found.kind, self.reader, textures, self.domes_visible)
@@ -95,7 +96,7 @@ class Emitter:
         mesh["geomSubsets"] = [subset for _, subset in subsets]
         return mesh
 
-    def points(self, found: Found, matrices: Matrices) -> None:
+    def points(self, found: Found, placements: Placements) -> None:
         """A sphere, and an instancer of its own that places it for every point in every placement of the prim."""
         spheres = flatten_points(found.prim, self.reader, found.context.inherited())
         if spheres is None:
@@ -104,11 +105,19 @@ class Emitter:
         fields = {"type": "Mesh", "visible": found.context.visible, "material": "", "instancer": key}
         mesh = self.prims[found.key] = {**fields, **spheres.mesh}
         self.bindables.append((found.prim, mesh))
-        transforms = nested(spheres.matrices, local_to_world(found, matrices))
-        instancer = {"type": "Instancer", "visible": True, "transforms": np.ascontiguousarray(transforms)}
-        if spheres.colors is not None:
-            instancer["displayColor"] = np.tile(spheres.colors, (len(matrices), 1))
-        self.prims[key] = instancer
+        colors = {} if spheres.colors is None else {"displayColor": spheres.colors}
+        outer = Placements(local_to_world(found, placements.matrices), placements.primvars)
+        self.prims[key] = self.instancer(Placements(spheres.matrices, colors).within(outer))
+
+    def instancer(self, placements: Placements) -> Prim:
+        """Fields of `flat::Instancer`; displayColor has a place of its own beside those that materials read."""
+        transforms = np.ascontiguousarray(placements.matrices)
+        instancer: Prim = {"type": "Instancer", "visible": True, "transforms": transforms}
+        primvars = {name: np.ascontiguousarray(values) for name, values in placements.primvars.items()}
+        if (colors := primvars.get("displayColor")) is not None and colors.shape[1] == 3:
+            instancer["displayColor"] = colors
+        read = {name: primvar_fields(primvars[name]) for name in self.reader.primvars if name in primvars}
+        return {**instancer, "primvars": read} if read else instancer
 
     def mesh_lights(self, found: Found, matrices: Matrices) -> None:
         """A mesh light is a mesh and a light; inside instances each placement gets its own pair."""
@@ -164,6 +173,10 @@ class Emitter:
                     if node["node"] == "primvar":
                         plain = not any(node["fallback"])
                         names[node["varname"]] = key if plain else names.get(node["varname"], "")
+        # Where instances have a value, a mesh without one is nothing to be said.
+        for name in self.prims.get(mesh["instancer"], {}).get("primvars", ()):
+            if name in names:
+                names[name] = ""
         if names:
             inherited = found.context.inherited()
             primvars = flatten_read_primvars(found.prim, found.kind, mesh, names, self.reader, inherited)
@@ -179,6 +192,12 @@ class Emitter:
                 self.reader.warn(prim, f"cannot be read ({error}); displayColor is used")
                 self.prims[key] = {"type": "Material", "shader": "UsdPreviewSurface"}
         return key
+
+
+def primvar_fields(values: Any) -> Prim:
+    width = values.shape[1]
+    kind = "float" if width == 1 else f"float{width}"
+    return {"type": kind, "interpolation": "vertex", "values": values.reshape(-1) if width == 1 else values}
 
 
 def networks(material: Prim) -> list[Prim]:

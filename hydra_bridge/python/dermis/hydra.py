@@ -54,6 +54,7 @@ MESH_BITS = {
 INSTANCER_BITS = {
     "transforms": DirtyBits.INSTANCER,
     "displayColor": DirtyBits.INSTANCER,
+    "primvars": DirtyBits.INSTANCER,
     "visible": DirtyBits.VISIBILITY,
 }
 

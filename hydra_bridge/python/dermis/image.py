@@ -81,8 +81,9 @@ def render(
         flat = flatten(stage, time, options)
         ensure_camera(stage, time, flat, settings)
         delegate = core()
-        # First, since what is synced may ask for them.
-        flat.settings.update(settings)
+        # Before images are synced, which go where it says.
+        if "textureMemory" in settings:
+            flat.settings["textureMemory"] = settings["textureMemory"]
         populate(delegate, flat)
     if settings:
         delegate.set_settings(json.dumps(settings, allow_nan=False))

@@ -1,18 +1,47 @@
-"""PointInstancer arrays as matrices, and nested placements multiplied out."""
+"""PointInstancer arrays as placements, and nested placements multiplied out."""
 
+from collections.abc import Iterable
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Usd
+from pxr import Usd, UsdGeom
 
-from .reading import Reader
+from .reading import Reader, numeric
 
 Matrices = NDArray[np.float64]
 """(n, 4, 4), row vectors."""
 
 
-def point_instances(prim: Usd.Prim, reader: Reader) -> tuple[NDArray, Matrices]:
+@dataclass(frozen=True)
+class Placements:
+    """`primvars`: (n, components) float32 by name; a row of NaN where an instance has none."""
+
+    matrices: Matrices
+    primvars: dict[str, NDArray[np.float32]] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.matrices)
+
+    def within(self, outer: "Placements") -> "Placements":
+        """Every one of these in every outer one; what an inner instance has not, it has from the outer one."""
+        inner, outside = len(self), len(outer)
+        primvars = {name: np.repeat(values, inner, axis=0) for name, values in outer.primvars.items()}
+        for name, values in self.primvars.items():
+            own = np.tile(values, (outside, 1))
+            primvars[name] = over(own, primvars[name]) if name in primvars else own
+        return Placements(nested(self.matrices, outer.matrices), primvars)
+
+
+def over(values: NDArray, below: NDArray) -> NDArray:
+    """`values`, and where they are NaN those `below`; of the width of the wider ones."""
+    width = max(values.shape[1], below.shape[1])
+    values, below = (np.pad(v, ((0, 0), (0, width - v.shape[1]))) for v in (values, below))
+    return np.where(np.isnan(values[:, :1]), below, values)
+
+
+def point_instances(prim: Usd.Prim, reader: Reader) -> tuple[NDArray, Placements]:
     """(prototype index, instance to instancer without the prototype's own transform) of every instance that
     shows.
 
@@ -21,7 +50,7 @@ def point_instances(prim: Usd.Prim, reader: Reader) -> tuple[NDArray, Matrices]:
     indices = reader.array(prim, "protoIndices", np.int32, 1)
     positions = reader.array(prim, "positions", np.float32, 3)
     if indices is None or positions is None or not len(indices) or not len(positions):
-        return np.zeros(0, np.int32), np.zeros((0, 4, 4))
+        return np.zeros(0, np.int32), Placements(np.zeros((0, 4, 4)))
     count = min(len(indices), len(positions))
     if len(indices) != len(positions):
         reader.warn(
@@ -29,7 +58,30 @@ def point_instances(prim: Usd.Prim, reader: Reader) -> tuple[NDArray, Matrices]:
         )
     matrices = instance_matrices(prim, positions[:count], reader)
     keep = shown(prim, count, reader) & in_range(prim, indices[:count], reader)
-    return indices[:count][keep], matrices[keep]
+    primvars = {name: values[:count][keep] for name, values in instance_primvars(prim, len(indices), reader)}
+    return indices[:count][keep], Placements(matrices[keep], primvars)
+
+
+def instance_primvars(
+    prim: Usd.Prim, count: int, reader: Reader
+) -> Iterable[tuple[str, NDArray[np.float32]]]:
+    """(name, (count, components)) of the primvars that materials read, and displayColor: one value per instance is
+    what every interpolation but constant and uniform means on an instancer (UsdImaging)."""
+    api = UsdGeom.PrimvarsAPI(prim)
+    for name in ("displayColor", *(name for name in reader.primvars if name != "displayColor")):
+        primvar = api.GetPrimvar(name)
+        if not (primvar and primvar.HasAuthoredValue()) or primvar.GetInterpolation() in (
+            "constant",
+            "uniform",
+        ):
+            continue
+        values = numeric(primvar.ComputeFlattened(reader.time))
+        if values is None or values.ndim not in (1, 2) or len(values) < count:
+            found = "no numbers" if values is None else f"{len(values)} values"
+            reader.warn(prim, f"primvars:{name}: {found} for {count} instances; it is ignored")
+            continue
+        values = values.reshape(len(values), -1)[:count, :4].astype(np.float32)
+        yield name, np.ascontiguousarray(np.where(np.isfinite(values).all(axis=1)[:, None], values, np.nan))
 
 
 def instance_matrices(prim: Usd.Prim, positions: NDArray, reader: Reader) -> Matrices:
@@ -124,28 +176,41 @@ def nested(inner: Matrices, outer: Matrices) -> Matrices:
     return np.matmul(inner[None], outer[:, None]).reshape(-1, 4, 4)
 
 
-def place(edges: dict[Any, list[tuple[Any, Matrices]]], root: Any, warn: Any) -> dict[Any, Matrices]:
+def place(edges: dict[Any, list[tuple[Any, Placements]]], root: Any, warn: Any) -> dict[Any, Placements]:
     """World placements of every frame. `edges[frame]` lists (child frame, child root to frame).
 
     A frame inside itself has no end: that edge is dropped, with `warn(child)`.
     """
     order = topological(edges, root, warn)
-    parts: dict[Any, list[Matrices]] = {root: [np.eye(4)[None]]}
-    placements: dict[Any, Matrices] = {}
+    parts: dict[Any, list[Placements]] = {root: [Placements(np.eye(4)[None])]}
+    placements: dict[Any, Placements] = {}
     for frame in order:
         placements[frame] = joined(parts.get(frame, []))
-        for child, matrices in edges.get(frame, []):
-            parts.setdefault(child, []).append(nested(matrices, placements[frame]))
+        for child, inner in edges.get(frame, []):
+            parts.setdefault(child, []).append(inner.within(placements[frame]))
     return placements
 
 
-def joined(parts: list[Matrices]) -> Matrices:
+def joined(parts: list[Placements]) -> Placements:
+    """One after the other; those of a part that has not a primvar have none."""
     if len(parts) == 1:
-        return np.ascontiguousarray(parts[0])
-    return np.concatenate(parts) if parts else np.zeros((0, 4, 4))
+        return Placements(np.ascontiguousarray(parts[0].matrices), parts[0].primvars)
+    widths: dict[str, int] = {}
+    for part in parts:
+        for name, values in part.primvars.items():
+            widths[name] = max(widths.get(name, 0), values.shape[1])
+    matrices = np.concatenate([part.matrices for part in parts]) if parts else np.zeros((0, 4, 4))
+    return Placements(matrices, {name: column(parts, name, width) for name, width in widths.items()})
 
 
-def topological(edges: dict[Any, list[tuple[Any, Matrices]]], root: Any, warn: Any) -> list[Any]:
+def column(parts: list[Placements], name: str, width: int) -> NDArray[np.float32]:
+    none = [np.full((len(part), width), np.nan, np.float32) for part in parts]
+    return np.concatenate(
+        [over(part.primvars.get(name, nan), nan) for part, nan in zip(parts, none, strict=True)]
+    )
+
+
+def topological(edges: dict[Any, list[tuple[Any, Placements]]], root: Any, warn: Any) -> list[Any]:
     """Parents before children; cuts `edges` that close a cycle."""
     order: list[Any] = []
     state: dict[Any, str] = {}

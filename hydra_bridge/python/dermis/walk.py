@@ -13,7 +13,7 @@ import numpy as np
 from pxr import Gf, Usd, UsdGeom, UsdLux, UsdShade, Vt
 
 from .bindings import bound_materials
-from .instancer import Matrices, nested, place, point_instances
+from .instancer import Placements, nested, place, point_instances
 from .light import LIGHT_TYPES, UNSUPPORTED_LIGHTS
 from .mesh import INHERITED_PRIMVARS, MESH_TYPES
 from .reading import Reader
@@ -60,13 +60,16 @@ class Frame:
     in_point_instancer: bool = False
     found: list["Found"] = field(default_factory=list)
     native: dict["Frame", list[Gf.Matrix4d]] = field(default_factory=dict)
-    points: list[tuple["Frame", Matrices]] = field(default_factory=list)
+    points: list[tuple["Frame", Placements]] = field(default_factory=list)
 
     def key(self, prim: Usd.Prim) -> str:
         return self.base + str(prim.GetPath())[self.root :]
 
-    def edges(self) -> list[tuple["Frame", Matrices]]:
-        native = [(child, np.asarray(Vt.Matrix4dArray(matrices))) for child, matrices in self.native.items()]
+    def edges(self) -> list[tuple["Frame", Placements]]:
+        native = [
+            (child, Placements(np.asarray(Vt.Matrix4dArray(matrices))))
+            for child, matrices in self.native.items()
+        ]
         return native + self.points
 
 
@@ -101,7 +104,7 @@ class Walk:
         # own)
         self.open: list[tuple[Usd.Prim, Frame, Context, Gf.Matrix4d | None]] = []
 
-    def run(self, root: Usd.Prim | None = None) -> dict[Frame, Matrices]:
+    def run(self, root: Usd.Prim | None = None) -> dict[Frame, Placements]:
         """World placements by frame, the world among them, in a fixed order. `root`: only this prim and
         below."""
         if root is None or root.IsPseudoRoot():
@@ -192,7 +195,7 @@ class Walk:
         return tuple(canonical_path(m.GetPrim()) if m else "" for m, _ in bound)
 
     def point_instancer(self, prim: Usd.Prim, frame: Frame, context: Context, matrix: Gf.Matrix4d) -> None:
-        indices, matrices = point_instances(prim, self.reader)
+        indices, placements = point_instances(prim, self.reader)
         targets = prim.GetRelationship("prototypes").GetForwardedTargets()
         for i in np.unique(indices):
             prototype = self.stage.GetPrimAtPath(targets[i])
@@ -203,8 +206,10 @@ class Walk:
                 continue
             child = self.prototype_frame(prim, int(i), prototype, frame, context)
             local = self.local(prototype)[0]
-            instances = matrices[indices == i] @ np.array(matrix)
-            frame.points.append((child, nested(np.array(local)[None], instances)))
+            chosen = indices == i
+            instances = nested(np.array(local)[None], placements.matrices[chosen] @ np.array(matrix))
+            primvars = {name: values[chosen] for name, values in placements.primvars.items()}
+            frame.points.append((child, Placements(instances, primvars)))
 
     def prototype_frame(
         self, prim: Usd.Prim, i: int, prototype: Usd.Prim, frame: Frame, context: Context

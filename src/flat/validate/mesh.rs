@@ -1,13 +1,13 @@
 //! Meshes, instancers: topology whose every index is in range, points and placements that are finite.
 
 use super::{
-    primvar::{Sizes, check_primvars},
+    primvar::{Sizes, check_primvars, floats},
     report::{LARGEST, Report, is_sane, placement_fault},
     topology::{Fault, Faults, compact},
 };
 use crate::{
     error::Warning,
-    flat::{Array, Instancer, Mesh},
+    flat::{AnyPrimvar, Array, Instancer, Mesh, array::Element},
 };
 
 const SCHEMES: [&str; 4] = ["none", "catmullClark", "loop", "bilinear"];
@@ -44,26 +44,65 @@ pub fn validate_mesh(path: &str, mesh: &mut Mesh, warnings: &mut Vec<Warning>) {
 /// Placements that cannot place are removed.
 pub fn validate_instancer(path: &str, instancer: &mut Instancer, warnings: &mut Vec<Warning>) {
     let total = instancer.transforms.len();
-    let colors = instancer.display_color.len();
-    let sane = instancer.display_color.iter().all(|color| is_sane(color));
-    if colors > 0 && (colors != total || !sane) {
-        let why = if sane { format!("{colors} colours for {total} instances") } else { "not finite".into() };
-        let message = format!("primvars:displayColor dropped: {why}; author one finite colour each");
-        Report::new(path, warnings).warn(message);
+    let mut report = Report::new(path, warnings);
+    if !one_each(&mut instancer.display_color, "displayColor", total, &mut report) {
         instancer.display_color = Array::default();
     }
+    instancer.primvars.retain(|name, primvar| match primvar {
+        AnyPrimvar::Float(primvar) => one_each(&mut primvar.values, name, total, &mut report),
+        AnyPrimvar::Float2(primvar) => one_each(&mut primvar.values, name, total, &mut report),
+        AnyPrimvar::Float3(primvar) => one_each(&mut primvar.values, name, total, &mut report),
+        AnyPrimvar::Float4(primvar) => one_each(&mut primvar.values, name, total, &mut report),
+    });
     let bad = instancer.transforms.iter().filter(|matrix| placement_fault(matrix).is_some()).count();
     if bad == 0 {
         return;
     }
     let good: Vec<usize> = (0..total).filter(|i| placement_fault(&instancer.transforms[*i]).is_none()).collect();
-    if !instancer.display_color.is_empty() {
-        instancer.display_color = good.iter().map(|i| instancer.display_color[*i]).collect::<Vec<_>>().into();
+    keep(&mut instancer.display_color, &good);
+    for primvar in instancer.primvars.values_mut() {
+        match primvar {
+            AnyPrimvar::Float(primvar) => keep(&mut primvar.values, &good),
+            AnyPrimvar::Float2(primvar) => keep(&mut primvar.values, &good),
+            AnyPrimvar::Float3(primvar) => keep(&mut primvar.values, &good),
+            AnyPrimvar::Float4(primvar) => keep(&mut primvar.values, &good),
+        }
     }
     instancer.transforms = good.iter().map(|i| instancer.transforms[*i]).collect::<Vec<_>>().into();
     let why = "their transforms are singular or not finite";
     let message = format!("{bad} of {total} instances dropped: {why}; check positions, orientations and scales");
     Report::new(path, warnings).warn(message);
+}
+
+/// Whether there is a value for each instance; those that are no numbers become NaN, which means none.
+fn one_each<T: Element>(values: &mut Array<T>, name: &str, total: usize, report: &mut Report) -> bool {
+    if values.is_empty() {
+        return false;
+    }
+    if values.len() != total {
+        let found = values.len();
+        report.warn(format!("primvars:{name} dropped: {found} values for {total} instances; author one each"));
+        return false;
+    }
+    let none = |value: &T| floats(std::slice::from_ref(value)).iter().all(|x| x.is_nan());
+    let bad = |value: &T| !none(value) && !is_sane(floats(std::slice::from_ref(value)));
+    let count = values.iter().filter(|value| bad(value)).count();
+    if count > 0 {
+        report
+            .warn(format!("primvars:{name}: {count} values are not finite, the meshes' own are used; author numbers"));
+        let mut mended = values.to_vec();
+        for value in mended.iter_mut().filter(|value| bad(value)) {
+            bytemuck::cast_slice_mut::<T, f32>(std::slice::from_mut(value)).fill(f32::NAN);
+        }
+        *values = mended.into();
+    }
+    true
+}
+
+fn keep<T: Element>(values: &mut Array<T>, good: &[usize]) {
+    if !values.is_empty() {
+        *values = good.iter().map(|i| values[*i]).collect::<Vec<_>>().into();
+    }
 }
 
 /// The tokens; creases and corners are checked against the edges where they are used.

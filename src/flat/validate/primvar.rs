@@ -100,6 +100,6 @@ fn clamp_to_unit<T: Element>(primvar: &mut Option<Primvar<T>>, name: &str, repor
 }
 
 /// Every primvar is one of floats.
-fn floats<T: Pod>(values: &[T]) -> &[f32] {
+pub(super) fn floats<T: Pod>(values: &[T]) -> &[f32] {
     bytemuck::cast_slice(values)
 }

@@ -203,17 +203,28 @@ fn face_lists_and_placements() {
 
     let mut broken = IDENTITY;
     broken[3][0] = f64::NAN;
+    let values = vec![0.1, 0.2, 0.3].into();
+    let wear = AnyPrimvar::Float(Primvar { interpolation: Interpolation::Vertex, values, indices: None });
     let mut instancer = Instancer {
         visible: true,
         transforms: vec![broken, IDENTITY, [[0.0; 4]; 4]].into(),
         display_color: vec![[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]].into(),
+        primvars: [("wear".to_owned(), wear)].into(),
     };
     let warnings = messages(|warnings| validate_instancer("/tree", &mut instancer, warnings));
     assert!(warnings[0].starts_with("2 of 3 instances dropped"), "{warnings:?}");
     assert_eq!(instancer.transforms[..], [IDENTITY]);
     assert_eq!(instancer.display_color[..], [[0.0, 1.0, 0.0]]);
-    instancer.display_color = vec![[f32::NAN; 3]].into();
-    assert!(messages(|warnings| validate_instancer("/tree", &mut instancer, warnings))[0].contains("not finite"));
+    assert!(matches!(&instancer.primvars["wear"], AnyPrimvar::Float(wear) if wear.values[..] == [0.2]));
+    // NaN is none; what is in part a number was to be one.
+    for (color, count) in [([f32::NAN; 3], 0), ([f32::INFINITY, 0.0, 1.0], 1), ([0.0, f32::NAN, 0.0], 1)] {
+        instancer.display_color = vec![color].into();
+        let warnings = messages(|warnings| validate_instancer("/tree", &mut instancer, warnings));
+        assert_eq!(warnings.iter().filter(|text| text.contains("1 values are not finite")).count(), count);
+        assert!(instancer.display_color[0].iter().all(|x| x.is_nan()));
+    }
+    instancer.display_color = vec![[0.5; 3]; 2].into();
+    assert!(messages(|warnings| validate_instancer("/tree", &mut instancer, warnings))[0].contains("2 values for 1"));
     assert!(instancer.display_color.is_empty());
 }
 
