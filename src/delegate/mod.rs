@@ -35,7 +35,9 @@ bitflags::bitflags! {
         const INSTANCER = 256;
         /// Materials, lights, cameras, textures.
         const PARAMS = 512;
-        const ALL = 1023;
+        /// Light linking.
+        const CATEGORIES = 1024;
+        const ALL = 2047;
         /// Bits after which a mesh must be compiled anew.
         const GEOMETRY = Self::TOPOLOGY.bits() | Self::POINTS.bits() | Self::PRIMVAR.bits() | Self::NORMALS.bits();
     }
@@ -177,6 +179,9 @@ impl RenderDelegate {
         }
         if has(DirtyBits::INSTANCER) {
             mesh.instancer = new.instancer;
+        }
+        if has(DirtyBits::CATEGORIES) {
+            mesh.categories = new.categories;
         }
         mesh
     }

@@ -40,6 +40,25 @@ impl Default for Shaping {
     }
 }
 
+/// `UsdLuxShadowAPI`, present only where something in it is not the default.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+pub struct Shadow {
+    pub enable: bool,
+    pub color: [f32; 3],
+    /// From the shaded point to what casts the shadow; negative: no limit.
+    pub distance: f32,
+    /// Of the distance, the last part, in which shadows fade; not positive: none.
+    pub falloff: f32,
+    pub falloff_gamma: f32,
+}
+
+impl Default for Shadow {
+    fn default() -> Self {
+        Self { enable: true, color: [0.0; 3], distance: -1.0, falloff: -1.0, falloff_gamma: 1.0 }
+    }
+}
+
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "camelCase", default)]
 pub struct Light {
@@ -60,6 +79,13 @@ pub struct Light {
     pub normalize: bool,
     pub shaping: Option<Shaping>,
     pub shape: LightShape,
+    /// Category of what it lights, and of what casts its shadows ([`super::Mesh::categories`]); empty: everything.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    pub light_link: String,
+    #[serde(skip_serializing_if = "String::is_empty")]
+    pub shadow_link: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub shadow: Option<Shadow>,
 }
 
 impl Default for Light {
@@ -77,6 +103,9 @@ impl Default for Light {
             normalize: false,
             shaping: None,
             shape: LightShape::Sphere { radius: 0.5 },
+            light_link: String::new(),
+            shadow_link: String::new(),
+            shadow: None,
         }
     }
 }

@@ -126,6 +126,9 @@ pub struct Mesh {
     pub geom_subsets: Vec<GeomSubset>,
     /// Key of the [`Instancer`] that places this mesh; empty: placed once, by `transform`.
     pub instancer: String,
+    /// Hydra's categories: of the collections that lights name ([`super::Light::light_link`]), those that it is in.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub categories: Vec<String>,
 }
 
 impl Default for Mesh {
@@ -149,6 +152,7 @@ impl Default for Mesh {
             material: String::new(),
             geom_subsets: Vec::new(),
             instancer: String::new(),
+            categories: Vec::new(),
         }
     }
 }

@@ -1,9 +1,9 @@
 //! Light at collisions: next-event estimation from within a medium, straight through matched boundaries and bent by
 //! smooth dielectric ones.
 
-use super::direct::{transmittance, transmittance_beyond};
 use super::manifold::{Crossing, Window};
 use super::nest::Nest;
+use super::shadow::{visibility, visibility_beyond};
 use super::{Bucket, add_to};
 use crate::film::Sample;
 use crate::light::{Choice, Emitter};
@@ -58,13 +58,15 @@ impl CollisionLight<'_> {
         let u = Vec2::new(sampler.random(), sampler.random());
         let p = enclosure.to_render(collision.p);
         let light = self.scene.lights.sample(p, None, Choice::ONE, sampler.random(), u);
-        let Some(light) = light.filter(|light| light.radiance != Rgb::ZERO) else { return 0 };
+        let Some(light) = light.filter(|light| light.radiance != Rgb::ZERO && self.is_lit_by(light.light)) else {
+            return 0;
+        };
         let (phase, pdf) = (collision.scatter)(light.wi);
         if phase <= 0.0 {
             return 0;
         }
         let hit = self.scene.boundary_from_within(self.instance, collision.p, light.wi, light.reach());
-        let visible = transmittance_beyond(self.scene, hit, light.wi, light.reach(), self.around);
+        let visible = visibility_beyond(self.scene, light.light, hit, light.wi, light.reach(), self.around);
         // Walks meet no lights before the boundary: those within the medium are ours alone.
         let ours = light.delta || hit.is_none() && light.distance.is_finite();
         let weight = if ours { 1.0 } else { power_heuristic(light.pdf, pdf) };
@@ -86,7 +88,9 @@ impl CollisionLight<'_> {
         }
         let u = Vec2::new(sampler.random(), sampler.random());
         let emitter = self.scene.lights.sample_emitter(enclosure.to_render(collision.p), sampler.random(), u);
-        let Some(emitter) = emitter.filter(Bent::is_small) else { return 0 };
+        let Some(emitter) = emitter.filter(|light| Bent::is_small(light) && self.is_lit_by(light.light)) else {
+            return 0;
+        };
         let ways = bent.connect(collision.p, &emitter, |survival| sampler.random() < survival);
         let mut shadow_rays = 0;
         for (at, density) in ways.into_iter().flatten() {
@@ -95,10 +99,15 @@ impl CollisionLight<'_> {
                 shadow_rays += 1;
                 let o = bent.window.interaction(&at).origin(at.v);
                 let origin = Some((self.instance, at.hit.triangle));
-                self.give(sample, value * transmittance(self.scene, o, at.v, at.reach(), origin, self.around));
+                let visible = visibility(self.scene, emitter.light, o, at.v, at.reach(), origin, self.around);
+                self.give(sample, value * visible);
             }
         }
         shadow_rays
+    }
+
+    fn is_lit_by(&self, light: u32) -> bool {
+        self.scene.illuminates(light, self.instance)
     }
 
     fn give(&self, sample: &mut Sample, light: Rgb) {

@@ -1,8 +1,9 @@
 //! Light: what a segment meets, and next-event estimation towards what it might have met.
 
-use super::nest::{Inside, Nest};
+use super::nest::Nest;
+use super::shadow::visibility;
 use super::{Path, Previous};
-use crate::bsdf::{Boundary, Bsdf, Side};
+use crate::bsdf::{Bsdf, Side};
 use crate::guiding::LightsAt;
 use crate::guiding::exit::Exit;
 use crate::interaction::Interaction;
@@ -10,14 +11,11 @@ use crate::light::{Choice, Emitter, LightSample, ShapeHit};
 use crate::math::Rgb;
 use crate::sampling::power_heuristic;
 use crate::sampling::sampler::Sampler;
-use crate::scene::{Coating, Origin, Scene, SurfaceHit};
+use crate::scene::{Coating, Origin};
 use glam::{Vec2, Vec3};
 
 /// Generator of the R2 sequence (Roberts 2018): inverse powers of the plastic number.
 const R2: Vec2 = Vec2::new(0.754_877_7, 0.569_840_3);
-
-/// Faces that a shadow ray may pass before it counts as blocked.
-const MAX_LAYERS: u32 = 256;
 
 impl Path<'_> {
     /// Adds the light shapes crossed before `t_max`.
@@ -31,14 +29,10 @@ impl Path<'_> {
         let scene = self.scene;
         scene.light_shapes(o, d, t_max, |light, hit| {
             let radiance = scene.lights.radiance_hit(light, d, hit);
-            if radiance == Rgb::ZERO {
+            if radiance == Rgb::ZERO || self.asked(light) {
                 return;
             }
-            let weight = self.light_weight(
-                |p, n, choice| scene.lights.pdf_hit(light, p, n, choice, d, &seen_from(p, o, d, hit)),
-                |x| scene.lights.emitter_at(light, x, o + d * hit.t, hit),
-                light,
-            );
+            let weight = self.weight_of_hit(light, o, d, hit);
             self.see_light(weight * inside.transmittance(hit.t) * radiance);
         });
     }
@@ -48,14 +42,10 @@ impl Path<'_> {
         let d = self.d;
         for &light in scene.lights.infinite() {
             let radiance = scene.lights.escaped(light, d);
-            if radiance == Rgb::ZERO {
+            if radiance == Rgb::ZERO || self.asked(light) {
                 continue;
             }
-            let weight = self.light_weight(
-                |p, n, choice| scene.lights.pdf_escaped(light, p, n, choice, d),
-                |x| scene.lights.emitter_towards(light, x, d),
-                light,
-            );
+            let weight = self.weight_of_escaped(light, d);
             self.see_light(weight * self.inside.transmittance(f32::INFINITY) * radiance);
         }
     }
@@ -67,7 +57,7 @@ impl Path<'_> {
             self.add(coating.surface.emission());
         }
         let Some((light, first)) = scene.instances[si.instance as usize].light else { return };
-        if !si.front {
+        if !si.front || self.asked(light) {
             return;
         }
         let (o, d) = (self.o, self.d);
@@ -76,22 +66,42 @@ impl Path<'_> {
         let weight = match self.previous {
             // The mesh is there for the camera to see, lit up.
             Previous::Camera => Rgb::ONE,
-            _ => self.light_weight(
-                |p, n, choice| scene.lights.pdf_hit(light, p, n, choice, d, &seen_from(p, o, d, &hit)),
-                |x| scene.lights.emitter_at(light, x, o + d * hit.t, &hit),
-                light,
-            ),
+            _ => self.weight_of_hit(light, o, d, &hit),
         };
         self.add(weight * radiance);
     }
 
-    /// MIS weight of a light met by the segment; 0 where the camera must not see it.
+    /// MIS weight of an area light met at `hit` along (o, d).
+    pub(super) fn weight_of_hit(&self, light: u32, o: Vec3, d: Vec3, hit: &ShapeHit) -> Rgb {
+        let lights = &self.scene.lights;
+        self.light_weight(
+            |p, n, choice| lights.pdf_hit(light, p, n, choice, d, &seen_from(p, o, d, hit)),
+            |x| lights.emitter_at(light, x, o + d * hit.t, hit),
+            light,
+        )
+    }
+
+    /// MIS weight of an infinite light met along `d`.
+    pub(super) fn weight_of_escaped(&self, light: u32, d: Vec3) -> Rgb {
+        let lights = &self.scene.lights;
+        self.light_weight(
+            |p, n, choice| lights.pdf_escaped(light, p, n, choice, d),
+            |x| lights.emitter_towards(light, x, d),
+            light,
+        )
+    }
+
+    /// MIS weight of a light met by the segment; 0 where the camera must not see it, or the light is not for what sent
+    /// the path this way.
     fn light_weight(
         &self,
         light_pdf: impl Fn(Vec3, Option<Vec3>, Choice) -> f32,
         emitter: impl Fn(Vec3) -> Option<Emitter>,
         light: u32,
     ) -> Rgb {
+        if !self.scene.illuminates(light, self.receiver) {
+            return Rgb::ZERO;
+        }
         match self.previous {
             Previous::Delta => Rgb::ONE,
             Previous::Refracted(last) => Rgb::splat(last.weight(self.scene, emitter)),
@@ -107,7 +117,7 @@ impl Path<'_> {
         }
     }
 
-    fn see_light(&mut self, light: Rgb) {
+    pub(super) fn see_light(&mut self, light: Rgb) {
         if light == Rgb::ZERO {
             return;
         }
@@ -146,7 +156,7 @@ impl Path<'_> {
         }
         for light in 0..all.len() as u32 {
             let first = if light == 0 { u } else { sampler.next_2d() };
-            if !all.reaches(light, si.p, n) {
+            if !(all.reaches(light, si.p, n) && self.scene.illuminates(light, si.instance)) {
                 continue;
             }
             for i in 0..count {
@@ -165,6 +175,9 @@ impl Path<'_> {
         if f == Rgb::ZERO || light.radiance == Rgb::ZERO || light.wi.dot(si.ng) <= 0.0 || wi.z <= 0.0 {
             return;
         }
+        if !self.scene.illuminates(light.light, si.instance) {
+            return;
+        }
         let inside = if matches!(si.side, Side::Inside) { self.inside.left(si.instance) } else { self.inside };
         let origin = Some((si.instance, si.triangle));
         let visible = self.shadow(si.origin(light.wi), &light, origin, inside);
@@ -175,7 +188,7 @@ impl Path<'_> {
 
     fn shadow(&mut self, o: Vec3, light: &LightSample, origin: Origin, inside: Nest) -> Rgb {
         self.stats.shadow_rays += 1;
-        transmittance(self.scene, o, light.wi, light.reach(), origin, inside)
+        visibility(self.scene, light.light, o, light.wi, light.reach(), origin, inside)
     }
 }
 
@@ -183,48 +196,4 @@ impl Path<'_> {
 /// passed transparent boundaries begins later on the same line.
 fn seen_from(p: Vec3, o: Vec3, d: Vec3, hit: &ShapeHit) -> ShapeHit {
     ShapeHit { t: hit.t + (o - p).dot(d), ..*hit }
-}
-
-/// Share of light that reaches along (o, d) from distance `t_max`: 0 or 1 past opaque things, opacity and
-/// index-matched media in between. `inside`: the objects around `o`.
-pub(super) fn transmittance(scene: &Scene, o: Vec3, d: Vec3, t_max: f32, origin: Origin, inside: Nest) -> Rgb {
-    if !scene.needs.transparency && inside.medium().is_none() {
-        return if scene.occluded(o, d, t_max, origin) { Rgb::ZERO } else { Rgb::ONE };
-    }
-    transmittance_beyond(scene, scene.closest(o, d, t_max, origin), d, t_max, inside)
-}
-
-/// [`transmittance`] of a ray whose first surface is `hit`.
-pub(super) fn transmittance_beyond(
-    scene: &Scene,
-    mut hit: Option<SurfaceHit>,
-    d: Vec3,
-    t_max: f32,
-    mut inside: Nest,
-) -> Rgb {
-    let mut left = t_max;
-    let mut passed = Rgb::ONE;
-    for _ in 0..MAX_LAYERS {
-        passed *= inside.transmittance(hit.map_or(left, |hit| hit.t));
-        let Some(at) = hit else { return passed };
-        let within = inside.contains(at.instance);
-        let mut si = scene.interaction(&at, d, if within { Side::Inside } else { Side::Outside });
-        // The edge of a cut-out is that of its finest level.
-        let coating = scene.shade(&mut si, 0.0);
-        match coating.interior.filter(|interior| interior.boundary == Boundary::IndexMatched) {
-            Some(_) if within => inside = inside.left(at.instance),
-            Some(interior) => {
-                let object = Inside { instance: at.instance, medium: Some(interior.medium) };
-                let Some(nest) = inside.entered(object) else { return Rgb::ZERO };
-                inside = nest;
-            }
-            None => passed *= coating.surface.transparency(si.frame.n.dot(d).abs()),
-        }
-        if passed.max_element() <= 0.0 {
-            return Rgb::ZERO;
-        }
-        left -= at.t;
-        hit = scene.closest(si.origin(d), d, left, Some((at.instance, at.triangle)));
-    }
-    Rgb::ZERO
 }

@@ -146,6 +146,7 @@ impl<'a> Path<'a> {
         if let (Some((p, pdf)), Boundary::IndexMatched) = (scattered, passage.boundary) {
             let lights = crate::guiding::LightsAt::One;
             self.previous = Previous::Sampled { p: passage.enclosure.to_render(p), n: None, pdf, lights };
+            (self.receiver, self.drawn) = (instance, true);
         }
         Some((hit, d, scattered))
     }

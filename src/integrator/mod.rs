@@ -8,6 +8,7 @@ mod manifold;
 mod medium;
 mod nest;
 mod probe;
+mod shadow;
 mod watch;
 
 pub use log::WalkLog;
@@ -20,7 +21,7 @@ use crate::guiding::{Guide, LightsAt};
 use crate::interaction::Interaction;
 use crate::math::{Rgb, mean};
 use crate::sampling::sampler::Sampler;
-use crate::scene::{Coating, Origin, Scene, SurfaceHit};
+use crate::scene::{Coating, NOBODY, Origin, Scene, SurfaceHit};
 use crate::subsurface::steps::WalkStats;
 use bytemuck::{Pod, Zeroable};
 use collision::Refracted;
@@ -137,6 +138,10 @@ struct Path<'a> {
     d: Vec3,
     t_max: f32,
     origin: Origin,
+    /// What sent it on its way: lights are linked to that.
+    receiver: u32,
+    /// Its direction is drawn, not given by the one before it.
+    drawn: bool,
 }
 
 /// Radiance along a camera ray. Estimates may be negative where control variates are on; `log` takes what the walks
@@ -186,6 +191,8 @@ impl<'a> Path<'a> {
             d: Vec3::Z,
             t_max: f32::INFINITY,
             origin: None,
+            receiver: NOBODY,
+            drawn: false,
         }
     }
 }
@@ -194,6 +201,9 @@ impl Path<'_> {
     /// One segment and the vertex at its end; `None` when the path is over.
     fn segment(&mut self, sampler: &mut Sampler) -> Option<()> {
         self.stats.rays += 1;
+        if std::mem::take(&mut self.drawn) && self.scene.lights.has_shadow_rules() {
+            self.meet_ruled_lights();
+        }
         let hit = self.scene.closest(self.o, self.d, self.t_max, self.origin);
         self.meet_light_shapes(hit.as_ref().map_or(self.t_max, |hit| hit.t));
         let Some(hit) = hit else {
@@ -287,6 +297,7 @@ impl Path<'_> {
     fn bounce(&mut self, si: &Interaction, wi: Vec3, delta: bool, pdf: f32, lights: LightsAt) -> Option<()> {
         self.previous =
             if delta { Previous::Delta } else { Previous::Sampled { p: si.p, n: Some(si.ng), pdf, lights } };
+        (self.receiver, self.drawn) = (si.instance, true);
         if !delta {
             self.cone.scattered(pdf);
         }

@@ -49,6 +49,10 @@ impl Nest {
         self
     }
 
+    pub fn innermost(&self) -> Option<u32> {
+        self.around().last().map(|object| object.instance)
+    }
+
     pub fn medium(&self) -> Option<Medium> {
         self.around().last().and_then(|object| object.medium)
     }

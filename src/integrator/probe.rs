@@ -1,7 +1,7 @@
 //! Irradiance at a point of a boundary: what fills the boundary cache.
 
-use super::direct::transmittance;
 use super::nest::Nest;
+use super::shadow::visibility;
 use super::{Path, PathSettings, PathStats, Previous};
 use crate::bsdf::{Boundary, Side, fresnel};
 use crate::guiding::cache::{LightRecord, Record};
@@ -61,13 +61,13 @@ pub fn probe(
         let Some(light) = sample.filter(|light| light.wi.dot(n) > 0.0 && light.pdf > 0.0) else { continue };
         let share = if lights <= LIGHTS { 1.0 } else { 1.0 / LIGHTS as f32 };
         let unshadowed = light.radiance * (light.wi.dot(n) * entering(light.wi) * share / light.pdf);
-        if !(unshadowed.is_finite() && mean(unshadowed) > 0.0) {
+        if !(unshadowed.is_finite() && mean(unshadowed) > 0.0 && scene.illuminates(light.light, si.instance)) {
             continue;
         }
         stats.shadow_rays += 1;
         let origin = Some((si.instance, si.triangle));
-        let passed = transmittance(scene, si.origin(light.wi), light.wi, light.reach(), origin, Nest::OUTSIDE);
-        let visible = unshadowed * passed;
+        let (o, reach) = (si.origin(light.wi), light.reach());
+        let visible = unshadowed * visibility(scene, light.light, o, light.wi, reach, origin, Nest::OUTSIDE);
         record.irradiance += visible;
         record.directions.push((light.wi, mean(visible)));
         record.lights.push(LightRecord { light: light.light, visible: mean(visible), unshadowed: mean(unshadowed) });
@@ -82,6 +82,7 @@ pub fn probe(
         // Lights were asked for already: pdf 0 leaves nothing of those that the segment meets.
         path.previous = Previous::Sampled { p: si.p, n: Some(n), pdf: 0.0, lights: LightsAt::All };
         path.continue_from(&si, wi);
+        path.receiver = si.instance;
         while path.segment(sampler).is_some() {}
         let indirect = path.sample.color() * (PI * entering(wi));
         if indirect.is_finite() {

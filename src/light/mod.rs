@@ -19,9 +19,11 @@ mod ellipsoid;
 mod emission;
 mod emitter;
 mod latlong;
+mod linking;
 mod mesh;
 mod patch;
 mod rect;
+mod shadow;
 mod shape;
 mod shaping;
 #[cfg(test)]
@@ -35,6 +37,8 @@ pub use compile::MeshTriangles;
 pub use distant::Distant;
 pub use dome::Dome;
 pub use emitter::{Emitter, Place};
+pub use linking::{Categories, Members};
+pub use shadow::Shadow;
 pub use shape::{Shape, ShapeHit};
 
 use crate::math::Rgb;
@@ -105,6 +109,10 @@ pub struct Lights {
     tree: Option<tree::Tree>,
     /// Mesh key to light.
     meshes: BTreeMap<String, u32>,
+    /// Category of what each lights; `None`: everything. Empty where all light everything.
+    links: Vec<Option<u32>>,
+    /// Of each that casts other shadows than those of everything. Empty where none does.
+    shadows: Vec<Option<Shadow>>,
 }
 
 impl Lights {
@@ -128,6 +136,10 @@ impl Lights {
     /// The light that the mesh of this key is.
     pub fn mesh_light(&self, mesh: &str) -> Option<u32> {
         self.meshes.get(mesh).copied()
+    }
+
+    pub fn is_mesh(&self, light: u32) -> bool {
+        matches!(&self.lights[light as usize], Light::Area(AreaLight { shape: Shape::Mesh(_), .. }))
     }
 
     /// A light drawn by its estimated contribution at `p`, and a direction to it. `n` is the normal of a

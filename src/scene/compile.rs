@@ -8,7 +8,7 @@ use crate::bsdf::{self, Boundary, InteriorAlbedo, OfMesh, Surface};
 use crate::camera::Camera;
 use crate::error::{Error, Result, Warning};
 use crate::flat::{self, AnyPrimvar, FlatScene, LightShape};
-use crate::light::Lights;
+use crate::light::{Categories, Lights, Members};
 use crate::math::{Affine, Rgb};
 use crate::medium::Medium;
 use crate::subdivision::level_of;
@@ -75,7 +75,9 @@ pub fn compile(flat: &FlatScene, kept: &mut Kept, warnings: &mut Vec<Warning>) -
     let (needs, surfaces, known) = (Needs::default(), Vec::new(), SurfaceCache::new());
     let mut builder = Builder { flat, origin: camera.origin, images, warnings, needs, surfaces, known, former };
     let (mut instances, emitters) = builder.place(cache);
-    let lights = builder.lights(&mut instances, emitters);
+    let mut lights = builder.lights(&mut instances, emitters);
+    let members = builder.link(&mut instances, &mut lights);
+    let has_ruled_meshes = lights.ruled().any(|light| lights.is_mesh(light));
     builder.count(&camera, &instances, &lights);
     let (surfaces, needs) = (builder.surfaces, builder.needs);
     kept.surfaces = builder.known;
@@ -89,7 +91,9 @@ pub fn compile(flat: &FlatScene, kept: &mut Kept, warnings: &mut Vec<Warning>) -
         camera,
         instances,
         surfaces,
+        has_ruled_meshes,
         lights,
+        members,
         needs,
     };
     let stats = CompileStats {
@@ -192,6 +196,7 @@ impl Builder<'_> {
                     light: None,
                     display_color,
                     primvars: primvars.clone().map(|primvars| (primvars, i as u32)),
+                    categories: 0,
                     translated,
                 };
                 if let Some(triangles) = emitters.get_mut(path) {
@@ -368,6 +373,22 @@ impl Builder<'_> {
             *first += instance.geometry.triangles.len() as u32;
         }
         lights
+    }
+
+    /// Tells instances which sets of categories are theirs, and lights which ones they are for.
+    fn link(&mut self, instances: &mut [Instance], lights: &mut Lights) -> Members {
+        let mut categories = Categories::of(&self.flat.lights);
+        if !categories.is_empty() {
+            let meshes: Vec<&flat::Mesh> = self.flat.meshes.values().collect();
+            for of_mesh in instances.chunk_by_mut(|a, b| a.prim_id == b.prim_id) {
+                let set = categories.set(&meshes[of_mesh[0].prim_id as usize].categories);
+                of_mesh.iter_mut().for_each(|instance| instance.categories = set);
+            }
+        }
+        lights.link(&self.flat.lights, &categories);
+        self.needs.linked_lights = lights.linked() as u32;
+        self.needs.shadow_rules = lights.ruled().count() as u32;
+        categories.members()
     }
 
     /// Fills the Needs record from what was compiled.

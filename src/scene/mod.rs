@@ -22,7 +22,7 @@ pub use paged::{Residency, release};
 use crate::bsdf::{Boundary, Side, Surface};
 use crate::camera::Camera;
 use crate::interaction::{Interaction, shading_normal};
-use crate::light::{Lights, ShapeHit};
+use crate::light::{Lights, Members, ShapeHit};
 use crate::math::{Affine, Frame};
 use crate::medium::Medium;
 use accel::{Ray, Tlas};
@@ -54,6 +54,8 @@ pub struct Instance {
     pub display_color: Option<Vec3>,
     /// Those of its instancer that materials read, and which of their values are its own.
     pub primvars: Option<(Arc<InstancePrimvars>, u32)>,
+    /// The set of categories that it is in ([`Scene::members`]).
+    pub categories: u32,
     /// The linear part is the identity: rays need no rotation.
     pub(crate) translated: bool,
 }
@@ -89,6 +91,10 @@ pub struct Scene {
     tlas: Tlas,
     pub surfaces: Vec<Coating>,
     pub lights: Lights,
+    /// What lights may be linked to.
+    pub members: Members,
+    /// Whether a mesh light has shadow rules.
+    pub has_ruled_meshes: bool,
     light_shapes: Vec<u32>,
     light_tlas: Tlas,
     pub needs: Needs,
@@ -106,6 +112,9 @@ pub struct SurfaceHit {
 
 /// A triangle of an instance, to be left out by a ray that starts on it.
 pub type Origin = Option<(u32, u32)>;
+
+/// No instance.
+pub const NOBODY: u32 = u32::MAX;
 
 /// The triangle of `instance` that a ray from `origin` leaves out.
 fn skipped(origin: Origin, instance: u32) -> u32 {
@@ -149,9 +158,25 @@ impl Scene {
 
     /// Closest surface for 0 < t < `t_max`; `d` unit, render space.
     pub fn closest(&self, o: Vec3, d: Vec3, t_max: f32, origin: Origin) -> Option<SurfaceHit> {
+        self.closest_where(o, d, t_max, origin, |_| true)
+    }
+
+    /// [`Self::closest`] among the instances that are `wanted`.
+    #[inline(always)]
+    pub fn closest_where(
+        &self,
+        o: Vec3,
+        d: Vec3,
+        t_max: f32,
+        origin: Origin,
+        wanted: impl Fn(u32) -> bool,
+    ) -> Option<SurfaceHit> {
         let mut ray = Ray { o, d, t_max };
         let mut closest = None;
         self.tlas.traverse(&mut ray, |i, ray| {
+            if !wanted(i) {
+                return false;
+            }
             let instance = &self.instances[i as usize];
             let local = instance.local_ray(o - instance.to_render.translation, d, ray.t_max);
             if let Some(hit) = instance.geometry.blas.closest_skip(&local, skipped(origin, i)) {
@@ -181,6 +206,12 @@ impl Scene {
             occluded
         });
         occluded
+    }
+
+    /// Whether `light` is for the things of `instance`; a camera, [`NOBODY`], sees all.
+    pub fn illuminates(&self, light: u32, instance: u32) -> bool {
+        let Some(category) = self.lights.category(light) else { return true };
+        instance == NOBODY || self.members.has(self.instances[instance as usize].categories, category)
     }
 
     /// Whether rays may meet light shapes.

@@ -20,6 +20,9 @@ pub struct Needs {
     /// Lights that rays can hit (shapes and meshes) and those at infinity.
     pub mesh_lights: u32,
     pub infinite_lights: u32,
+    /// Lights that do not light everything, and those with other shadows than the black ones of everything.
+    pub linked_lights: u32,
+    pub shadow_rules: u32,
     pub textures: u32,
     /// Of the images of materials, all levels.
     pub texture_bytes: u64,
@@ -143,6 +146,18 @@ impl Needs {
                 self.infinite_lights > 0,
                 count(self.infinite_lights, "dome or distant lights"),
                 "no dome, no distant light with an angle",
+            ),
+            line(
+                "light linking",
+                self.linked_lights > 0,
+                count(self.linked_lights, "lights whose lightLink leaves something out"),
+                "every light is for everything",
+            ),
+            line(
+                "shadow rules",
+                self.shadow_rules > 0,
+                count(self.shadow_rules, "lights with a shadowLink that leaves something out, or ShadowAPI"),
+                "everything casts black shadows",
             ),
             line("textures", self.textures > 0, self.images(), "no image on anything that is rendered"),
             line(

@@ -96,6 +96,11 @@ def lit(*prims: str, stage: Stage = PLAIN) -> Stage:
     return replace(stage, world=LAMP + "".join(prims))
 
 
+def lamp_beside(lines: str = "") -> str:
+    place = 'double3 xformOp:translate = (2, 1, 5)\n uniform token[] xformOpOrder = ["xformOp:translate"]'
+    return light("RectLight", "Beside", f"float inputs:intensity = 5\n {lines}\n {place}")
+
+
 def glowing(intensity: float) -> str:
     """A small ball beside the other one that is a light, or would be."""
     shines = f"color3f inputs:color = (1, 1, 1)\n float inputs:intensity = {intensity}"
@@ -328,6 +333,36 @@ CAPABILITIES = (
             ),
         ),
         against_plain("a plain dome beside the lamp", lit(light("DomeLight", "Sky", DOME))),
+    ),
+    Capability(
+        "light linking",
+        Compared(
+            "a collection that leaves out what is not there",
+            lit(lamp_beside("rel collection:lightLink:excludes = </World/None>")),
+            lit(lamp_beside()),
+            "a second lamp",
+        ),
+        Compared(
+            "a second lamp that is not for the floor",
+            lit(lamp_beside("rel collection:lightLink:excludes = </World/Floor>")),
+            lit(lamp_beside()),
+            "a second lamp",
+        ),
+    ),
+    Capability(
+        "shadow rules",
+        Compared(
+            "ShadowAPI with its defaults",
+            lit(lamp_beside("bool inputs:shadow:enable = 1")),
+            lit(lamp_beside()),
+            "a second lamp",
+        ),
+        Compared(
+            "a second lamp, of which the ball casts no shadow",
+            lit(lamp_beside("rel collection:shadowLink:excludes = </World/Ball>")),
+            lit(lamp_beside()),
+            "a second lamp",
+        ),
     ),
     Capability(
         "textures",

@@ -115,10 +115,7 @@ def test_damaged_values_become_defaults(flat):
     ("kind", "body", "apis", "word"),
     [
         ("RectLight", "    float inputs:diffuse = 0.5", "", "inputs:diffuse"),
-        ("RectLight", "    bool inputs:shadow:enable = 0", '"ShadowAPI"', "inputs:shadow:enable"),
         ("RectLight", "    rel light:filters = </F>", "", "light:filters"),
-        ("RectLight", "    rel collection:lightLink:excludes = </F>", "", "lightLink"),
-        ("RectLight", "    bool collection:shadowLink:includeRoot = 0", "", "shadowLink"),
         ("RectLight", "    asset inputs:shaping:ies:file = @a.ies@", '"ShapingAPI"', "IES"),
         ("DomeLight", "    rel portals = </F>", "", "portals"),
         ("DomeLight", '    token inputs:texture:format = "angular"', "", "plain colour"),

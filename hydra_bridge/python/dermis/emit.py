@@ -10,6 +10,7 @@ from .bindings import bound_materials
 from .camera import flatten_camera
 from .instancer import Matrices, Placements, nested
 from .light import flatten_light
+from .linking import Links
 from .material import flatten_material
 from .mesh import MESH_TYPES, flatten_mesh, flatten_read_primvars, flatten_subsets
 from .points import flatten_points
@@ -23,8 +24,11 @@ Prim = dict[str, Any]
 class Emitter:
     """Collects the prims of one flattening."""
 
-    def __init__(self, reader: Reader, binding_purposes: tuple[str, ...], domes_visible: bool) -> None:
+    def __init__(
+        self, reader: Reader, binding_purposes: tuple[str, ...], domes_visible: bool, links: Links
+    ) -> None:
         self.reader = reader
+        self.links = links
         self.binding_purposes = binding_purposes
         self.domes_visible = domes_visible
         self.skins = Skins(reader)
@@ -83,12 +87,18 @@ class Emitter:
             self.prims[found.key] = mesh
             self.instancers.update({instancer} - {""})
 
+    def categorize(self, found: Found, mesh: Prim) -> None:
+        categories = self.links.categories(found.prim.GetPath(), found.context.placer)
+        if categories:
+            mesh["categories"] = categories
+
     def mesh(self, found: Found) -> Prim | None:
         """The mesh without its place; its bindings are noted for `bind`."""
         fields = flatten_mesh(found.prim, found.kind, self.reader, found.context.inherited(), self.skins)
         if fields is None:
             return None
         mesh = {"type": "Mesh", "visible": found.context.visible, "material": "", "instancer": "", **fields}
+        self.categorize(found, mesh)
         self.bindables.append((found.prim, mesh))
         self.meshes.append((found, mesh))
         subsets = flatten_subsets(found.prim, self.reader) if found.kind == "Mesh" else []
@@ -104,6 +114,7 @@ class Emitter:
         key = f"{found.key}.points"
         fields = {"type": "Mesh", "visible": found.context.visible, "material": "", "instancer": key}
         mesh = self.prims[found.key] = {**fields, **spheres.mesh}
+        self.categorize(found, mesh)
         self.bindables.append((found.prim, mesh))
         colors = {} if spheres.colors is None else {"displayColor": spheres.colors}
         outer = Placements(local_to_world(found, placements.matrices), placements.primvars)
@@ -139,12 +150,17 @@ class Emitter:
         self.lights(found, light, matrices, keys)
 
     def lights(self, found: Found, light: Prim, matrices: Matrices, meshes: list[str]) -> None:
+        links = {
+            "lightLink": self.links.name(found.prim, "lightLink"),
+            "shadowLink": self.links.name(found.prim, "shadowLink"),
+        }
         keys = placed_keys(found.key + (".light" if found.emits else ""), len(matrices))
         for key, mesh, matrix in zip(keys, meshes, local_to_world(found, matrices), strict=True):
             shape = {**light["shape"], "mesh": mesh} if mesh else light["shape"]
             transform = self.reader.matrix(found.prim, matrix.tolist())
             self.prims[key] = {
                 **light,
+                **links,
                 "transform": transform,
                 "visible": found.context.visible,
                 "shape": shape,

@@ -27,7 +27,8 @@ class DirtyBits(IntFlag):
     DOUBLE_SIDED = 128
     INSTANCER = 256
     PARAMS = 512
-    ALL = 1023
+    CATEGORIES = 1024
+    ALL = 2047
 
 
 MESH_BITS = {
@@ -48,6 +49,7 @@ MESH_BITS = {
     "material": DirtyBits.MATERIAL_ID,
     "doubleSided": DirtyBits.DOUBLE_SIDED,
     "instancer": DirtyBits.INSTANCER,
+    "categories": DirtyBits.CATEGORIES,
 }
 """Field of Mesh -> bit; `geomSubsets` is topology where faces move, material otherwise."""
 

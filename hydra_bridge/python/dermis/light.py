@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from pxr import Sdf, Usd, UsdGeom, UsdLux
+from pxr import Usd, UsdGeom, UsdLux
 
 from .reading import Reader
 from .texture import flatten_texture
@@ -35,6 +35,7 @@ def flatten_light(
         "cameraVisible": reader.value(prim, "inputs:visibility:camera", domes_visible and is_dome),
         **emission(prim, kind, reader),
         "shaping": shaping(prim, reader),
+        "shadow": shadow(prim, reader),
         "shape": shape(prim, kind, reader, textures),
     }
     warn_ignored(prim, reader)
@@ -71,6 +72,25 @@ def shaping(prim: Usd.Prim, reader: Reader) -> Fields | None:
         "focusTint": list(reader.value(prim, "inputs:shaping:focusTint", (0.0, 0.0, 0.0))),
         "coneAngle": reader.value(prim, "inputs:shaping:cone:angle", 90.0),
         "coneSoftness": reader.value(prim, "inputs:shaping:cone:softness", 0.0),
+    }
+
+
+def shadow(prim: Usd.Prim, reader: Reader) -> Fields | None:
+    """UsdLuxShadowAPI where something in it is authored; the core leaves out what says nothing."""
+    if not any(is_shadow(a) for a in prim.GetAttributes()):
+        return None
+    distance = reader.value(prim, "inputs:shadow:distance", -1.0)
+    falloff = reader.value(prim, "inputs:shadow:falloff", -1.0)
+    if falloff > 0.0 and distance < 0.0:
+        reader.warn(
+            prim, "inputs:shadow:falloff: without inputs:shadow:distance shadows have no end; ignored"
+        )
+    return {
+        "enable": reader.value(prim, "inputs:shadow:enable", True),
+        "color": list(reader.value(prim, "inputs:shadow:color", (0.0, 0.0, 0.0))),
+        "distance": distance,
+        "falloff": falloff,
+        "falloffGamma": reader.value(prim, "inputs:shadow:falloffGamma", 1.0),
     }
 
 
@@ -133,11 +153,7 @@ def pole(prim: Usd.Prim, kind: str, reader: Reader) -> str:
 def warn_ignored(prim: Usd.Prim, reader: Reader) -> None:
     """One warning with everything of this light that is not rendered."""
     ignored = [name for name in ("inputs:diffuse", "inputs:specular") if reader.value(prim, name, 1.0) != 1.0]
-    ignored += [
-        a.GetName() for a in prim.GetAttributes() if is_shadow(a) and a.Get(reader.time) != fallback(a)
-    ]
     ignored += [rel for rel in ("light:filters", "portals") if targets(prim, rel)]
-    ignored += [link for link in ("lightLink", "shadowLink") if excludes_something(prim, link, reader)]
     sync = prim.GetAttribute("light:materialSyncMode")
     if sync and sync.HasAuthoredValue() and reader.raw(prim, "light:materialSyncMode") != fallback(sync):
         ignored.append("light:materialSyncMode")
@@ -158,14 +174,3 @@ def fallback(attribute: Usd.Attribute) -> Any:
 def targets(prim: Usd.Prim, name: str) -> bool:
     relationship = prim.GetRelationship(name)
     return bool(relationship and relationship.GetTargets())
-
-
-def excludes_something(prim: Usd.Prim, link: str, reader: Reader) -> bool:
-    """Whether a linking collection says anything but `the whole stage`."""
-    name = f"collection:{link}"
-    expression = reader.raw(prim, f"{name}:membershipExpression")
-    return (
-        targets(prim, f"{name}:excludes")
-        or not reader.value(prim, f"{name}:includeRoot", True)
-        or (isinstance(expression, Sdf.PathExpression) and not expression.IsEmpty())
-    )

@@ -120,7 +120,8 @@ def flatten(
         flat.products = flatten_products(settings, reader)
     binding = binding_purposes(settings, reader)
     walk = Walk(stage, reader, flat.purposes, binding)
-    flat.prims = Emitter(reader, binding, options.enable_dome_light_visibility).emit(walk.run())
+    emitter = Emitter(reader, binding, options.enable_dome_light_visibility, walk.links)
+    flat.prims = emitter.emit(walk.run())
     add_camera(stage, options.camera or flat.settings.get("camera", ""), flat, reader)
     flat.warnings = reader.report.warnings
     return flat
@@ -143,8 +144,9 @@ def flatten_prim(
         material = flatten_material(prim, reader, images)
         flat.prims = {str(prim.GetPath()): material, **images}
     else:
-        placements = Walk(prim.GetStage(), reader, flat.purposes, binding).run(prim)
-        flat.prims = Emitter(reader, binding, options.enable_dome_light_visibility).emit(placements)
+        walk = Walk(prim.GetStage(), reader, flat.purposes, binding)
+        emitter = Emitter(reader, binding, options.enable_dome_light_visibility, walk.links)
+        flat.prims = emitter.emit(walk.run(prim))
     flat.warnings = reader.report.warnings
     return flat
 

@@ -15,6 +15,7 @@ from pxr import Gf, Usd, UsdGeom, UsdLux, UsdShade, Vt
 from .bindings import bound_materials
 from .instancer import Placements, nested, place, point_instances
 from .light import LIGHT_TYPES, UNSUPPORTED_LIGHTS
+from .linking import Links, Placer
 from .mesh import INHERITED_PRIMVARS, MESH_TYPES
 from .reading import Reader
 
@@ -37,7 +38,7 @@ PROTOTYPES = Usd.TraverseInstanceProxies(Usd.PrimIsActive & Usd.PrimIsLoaded)
 class Context:
     """What a prim has from its ancestors. `primvars`: name, primvar, bytes of its value; `bindings`: direct
     material bindings in force as (relationship, material, stronger than descendants); `skel`: skeleton and
-    animation bound, as (relationship, targets)."""
+    animation bound, as (relationship, targets); `placer`: the point instancer around it, where light links ask."""
 
     visible: bool = True
     purpose: str = "default"
@@ -45,6 +46,7 @@ class Context:
     bindings: tuple[tuple[str, str, bool], ...] = ()
     collections: bool = False
     skel: tuple[tuple[str, str], ...] = ()
+    placer: Placer | None = None
 
     def inherited(self) -> dict[str, UsdGeom.Primvar]:
         return {name: primvar for name, primvar, _ in self.primvars}
@@ -96,6 +98,7 @@ class Walk:
         self.reader = reader
         self.purposes = {"default", *purposes}
         self.binding_purposes = binding_purposes
+        self.links = Links(stage, reader)
         self.xforms = UsdGeom.XformCache(reader.time)
         self.world = Frame("", 0, INSTANCES)
         self.frames: dict[Any, Frame] = {}
@@ -177,6 +180,7 @@ class Walk:
         signature = (prim.GetPrototype().GetPath(), frame.predicate is PROTOTYPES, frame.in_point_instancer)
         signature += (context.purpose, tuple((name, value) for name, _, value in context.primvars))
         signature += (self.bound_below(prim) if context.collections else context.bindings, context.skel)
+        signature += (self.links.below(prim, frame.predicate, context.placer), context.placer)
         child = self.frames.get(signature)
         if child is None:
             child = Frame(
@@ -214,13 +218,15 @@ class Walk:
     def prototype_frame(
         self, prim: Usd.Prim, i: int, prototype: Usd.Prim, frame: Frame, context: Context
     ) -> Frame:
-        signature = (prototype.GetPath(), context.purpose)
+        placer = self.links.placed_by(prim.GetPath(), context.placer)
+        signature = (prototype.GetPath(), context.purpose, placer)
         child = self.frames.get(signature)
         if child is None:
             base = f"{frame.key(prim)}.prototypes[{i}]"
             child = Frame(base, len(str(prototype.GetPath())), PROTOTYPES, in_point_instancer=True)
             self.frames[signature] = child
-            inherited = replace(ancestry(prototype, self.reader), visible=True, purpose=context.purpose)
+            above = ancestry(prototype, self.reader)
+            inherited = replace(above, visible=True, purpose=context.purpose, placer=placer)
             self.open.append((prototype, child, inherited, None))
         return child
 

@@ -3,7 +3,7 @@
 use super::report::{ANY, LARGEST, NOT_NEGATIVE, Report, UNIT, placement_fault};
 use crate::{
     error::Warning,
-    flat::{Camera, IDENTITY, Light, LightShape, Shaping, Texture},
+    flat::{Camera, IDENTITY, Light, LightShape, Shadow, Shaping, Texture},
 };
 
 /// UsdLux gives light to a negative intensity, too; a path tracer has none to take away, so it counts as 0.
@@ -25,6 +25,9 @@ pub fn validate_light(path: &str, light: &mut Light, warnings: &mut Vec<Warning>
     if let Some(shaping) = &mut light.shaping {
         check_shaping(shaping, &mut report);
     }
+    if let Some(shadow) = &mut light.shadow {
+        check_shadow(shadow, &mut report);
+    }
     check_shape(light, &mut report);
     check_power(light, &mut report);
 }
@@ -35,6 +38,14 @@ fn check_shaping(shaping: &mut Shaping, report: &mut Report) {
     report.clamp("inputs:shaping:focusTint", &mut shaping.focus_tint, NOT_NEGATIVE, default.focus_tint);
     report.clamp("inputs:shaping:cone:angle", &mut shaping.cone_angle, 0.0..=180.0, default.cone_angle);
     report.clamp("inputs:shaping:cone:softness", &mut shaping.cone_softness, UNIT, default.cone_softness);
+}
+
+fn check_shadow(shadow: &mut Shadow, report: &mut Report) {
+    let default = Shadow::default();
+    report.clamp("inputs:shadow:color", &mut shadow.color, NOT_NEGATIVE, default.color);
+    report.clamp("inputs:shadow:distance", &mut shadow.distance, ANY, default.distance);
+    report.clamp("inputs:shadow:falloff", &mut shadow.falloff, ANY, default.falloff);
+    report.positive("inputs:shadow:falloffGamma", &mut shadow.falloff_gamma, default.falloff_gamma);
 }
 
 /// Defaults in place of NaN are those of UsdLux.

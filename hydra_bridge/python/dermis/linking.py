@@ -1,0 +1,114 @@
+"""Light linking: the collections that say what a light lights and what casts its shadows, as Hydra's categories."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from pxr import Sdf, Usd, UsdGeom, UsdLux
+
+from .reading import Reader, usd_words
+
+LINKS = ("lightLink", "shadowLink")
+EVERY = Usd.TraverseInstanceProxies(Usd.PrimIsActive & Usd.PrimIsLoaded)
+
+
+@dataclass(frozen=True)
+class Placer:
+    """The innermost point instancer around a prim, and which collections it is in as a whole."""
+
+    path: Sdf.Path
+    within: tuple[bool, ...]
+
+
+class Collection:
+    """Membership of paths, as UsdCollectionAPI has it."""
+
+    def __init__(self, name: str, query: Any) -> None:
+        self.name = name
+        self.query = query
+        self.rules = query.GetAsPathExpansionRuleMap() if query.UsesPathExpansionRuleMap() else None
+
+    def has(self, path: Sdf.Path, placer: tuple[Sdf.Path, bool] | None = None) -> bool:
+        """Whether the prim is a member. `placer`: the point instancer that places it, and whether that is one: a
+        collection that names nothing nearer to the prim means the instancer by it."""
+        own = bool(self.query.IsPathIncluded(path))
+        if placer is None:
+            return own
+        instancer, within = placer
+        return own if self.singles_out(path, instancer, own) else within
+
+    def singles_out(self, path: Sdf.Path, instancer: Sdf.Path, own: bool) -> bool:
+        """Whether it says something of the prim that it does not say of the instancer anyway."""
+        if self.rules is not None:
+            named = (prefix for prefix in path.GetPrefixes() if prefix in self.rules)
+            return any(not instancer.HasPrefix(prefix) for prefix in named)
+        return path.HasPrefix(instancer) and own != bool(self.query.IsPathIncluded(instancer))
+
+    def is_even_below(self, path: Sdf.Path) -> bool:
+        """Whether everything below the path is in if the path is."""
+        return self.rules is not None and not any(
+            named.HasPrefix(path) and named != path for named in self.rules
+        )
+
+
+class Links:
+    """The collections of a stage that leave something out; equal ones count once."""
+
+    def __init__(self, stage: Usd.Stage, reader: Reader) -> None:
+        self.collections: list[Collection] = []
+        self.names: dict[tuple[str, str], str] = {}
+        known: dict[Any, str] = {}
+        for prim in Usd.PrimRange.Stage(stage, EVERY):
+            if prim.HasAPI(UsdLux.LightAPI):
+                for link in LINKS:
+                    self.add(prim, link, known, reader)
+
+    def add(self, prim: Usd.Prim, link: str, known: dict[Any, str], reader: Reader) -> None:
+        try:
+            query = collection_api(prim, link).ComputeMembershipQuery()
+        except Exception as error:  # a damaged collection must not cost the picture
+            reader.warn(prim, f"collection:{link}: {usd_words(error)}; the light is for everything")
+            return
+        collection = Collection(f"{prim.GetPath()}.collection:{link}", query)
+        if collection.rules == {Sdf.Path.absoluteRootPath: "expandPrims"}:
+            return
+        key = tuple(sorted(collection.rules.items())) if collection.rules is not None else collection.name
+        if key not in known:
+            known[key] = collection.name
+            self.collections.append(collection)
+        self.names[str(prim.GetPath()), link] = known[key]
+
+    def name(self, prim: Usd.Prim, link: str) -> str:
+        """Category of a light's collection; empty: everything."""
+        return self.names.get((str(prim.GetPath()), link), "")
+
+    def memberships(self, path: Sdf.Path, placer: Placer | None) -> tuple[bool, ...]:
+        """Of a prim, per collection."""
+        if placer is None:
+            return tuple(c.has(path) for c in self.collections)
+        within = zip(self.collections, placer.within, strict=True)
+        return tuple(c.has(path, (placer.path, inside)) for c, inside in within)
+
+    def categories(self, path: Sdf.Path, placer: Placer | None) -> list[str]:
+        """Names of the collections that a prim is in."""
+        within = zip(self.collections, self.memberships(path, placer), strict=True)
+        return [collection.name for collection, inside in within if inside]
+
+    def below(self, instance: Usd.Prim, predicate: Any, placer: Placer | None) -> tuple:
+        """What is in which collection within a native instance: alike instances give alike answers."""
+        path = instance.GetPath()
+        own = self.memberships(path, placer)
+        if all(collection.is_even_below(path) for collection in self.collections):
+            return own
+        prims: Iterable[Usd.Prim] = Usd.PrimRange(instance, predicate)
+        shown = [p.GetPath() for p in prims if p.IsA(UsdGeom.Imageable)]
+        return (own, *(self.memberships(p, placer) for p in shown))
+
+    def placed_by(self, instancer: Sdf.Path, placer: Placer | None) -> Placer | None:
+        """For the prototypes of a point instancer; None where nothing is linked."""
+        return Placer(instancer, self.memberships(instancer, placer)) if self.collections else None
+
+
+def collection_api(prim: Usd.Prim, link: str) -> Usd.CollectionAPI:
+    light = UsdLux.LightAPI(prim)
+    return light.GetLightLinkCollectionAPI() if link == "lightLink" else light.GetShadowLinkCollectionAPI()
