@@ -77,7 +77,7 @@ mod tests {
         assert_eq!([1.0, 2.0, 3.0, 4.0, 9.0].map(|t| s.strength(t)), [1.0, 1.0, 0.25, 0.0, 0.0]);
         // The zone does not exceed the distance; none, and the shadow ends at once.
         assert_eq!(shadow(4.0, 8.0, 1.0).strength(1.0), 0.75);
-        assert_eq!([3.9, 4.0].map(|t| shadow(4.0, -1.0, 1.0).strength(t)), [1.0, 0.0]);
+        assert_eq!([3.9, 4.1].map(|t| shadow(4.0, -1.0, 1.0).strength(t)), [1.0, 0.0]);
         assert_eq!(shadow(-1.0, 2.0, 1.0).strength(1e9), 1.0);
     }
 
