@@ -138,8 +138,9 @@ impl Path<'_> {
         guide: Option<&Exit>,
         sampler: &mut Sampler,
     ) {
-        let (u_choice, u) = (sampler.next_1d(), sampler.next_2d());
         if bsdf.is_delta_only() {
+            sampler.skip_1d();
+            sampler.skip_2d();
             return;
         }
         let (all, choice) = (&self.scene.lights, self.guide.choice(lights));
@@ -147,18 +148,25 @@ impl Path<'_> {
         // A sample's points on a light are a lattice (Roberts' R2), shifted by its stratified first.
         let lattice = |first: Vec2, i: u32| (first + i as f32 * R2).fract();
         if let Choice::Drawn { .. } = choice {
+            let (u_choice, u) = (sampler.next_1d(), sampler.next_2d());
+            let mut draws = all.draws(si.p, n, choice);
             for i in 0..count {
                 // Strata of the choice: neighbours in the tree are neighbours in space.
                 let u_choice = (u_choice + i as f32) / count as f32;
-                self.add_light(si, bsdf, guide, all.sample(si.p, n, choice, u_choice, lattice(u, i)));
+                self.add_light(si, bsdf, guide, draws.sample(u_choice, lattice(u, i)));
             }
             return;
         }
+        sampler.skip_1d();
+        if all.is_empty() {
+            sampler.skip_2d();
+        }
         for light in 0..all.len() as u32 {
-            let first = if light == 0 { u } else { sampler.next_2d() };
             if !(all.reaches(light, si.p, n) && self.scene.illuminates(light, si.instance)) {
+                sampler.skip_2d();
                 continue;
             }
+            let first = sampler.next_2d();
             for i in 0..count {
                 let sample = all.sample_light(light, si.p, n, lattice(first, i));
                 let counted = sample.map(|sample| LightSample { pdf: sample.pdf * count as f32, ..sample });

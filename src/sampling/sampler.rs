@@ -2,6 +2,8 @@
 //! first dimensions of a path, where stratification pays, a counter-based hash for the rest.
 
 use glam::Vec2;
+use sobol_burley::parts;
+use std::sync::LazyLock;
 
 /// Dimensions below this one are Sobol; a walk's thousands are not.
 const SOBOL_DIMENSIONS: u32 = 64;
@@ -9,11 +11,29 @@ const SOBOL_DIMENSIONS: u32 = 64;
 /// Samples of one sobol_burley sequence (its documented maximum is 2^16); further ones are reseeded.
 const SEQUENCE: u32 = 1 << 16;
 
+/// By dimension and hexadecimal digit of the reversed index: what the digit gives of the Sobol point, whose digits are joined by
+/// xor. 16 KB.
+type Digits = [[[u32; 16]; 4]; SOBOL_DIMENSIONS as usize];
+
+static DIGITS: LazyLock<Box<Digits>> = LazyLock::new(|| {
+    let mut digits = Box::new([[[0; 16]; 4]; SOBOL_DIMENSIONS as usize]);
+    for (dimension, places) in digits.iter_mut().enumerate() {
+        for (place, values) in places.iter_mut().enumerate() {
+            for (value, point) in values.iter_mut().enumerate() {
+                *point = parts::sobol_rev((value as u32) << (28 - 4 * place), dimension as u32);
+            }
+        }
+    }
+    digits
+});
+
 /// The stream of one path.
 #[derive(Debug, Clone)]
 pub struct Sampler {
+    digits: &'static Digits,
     seed: u32,
-    index: u32,
+    /// Of the sample in its sequence, shuffled by the seed, bits reversed.
+    shuffled: u32,
     dimension: u32,
     /// Counter of the hashed stream.
     state: u64,
@@ -23,9 +43,12 @@ impl Sampler {
     pub fn new(seed: u32, pixel: u32, sample: u32) -> Self {
         let pixel_seed = hash(u64::from(pixel) << 32 | u64::from(seed)) as u32;
         let block = sample / SEQUENCE;
+        let seed = pixel_seed.wrapping_add(block.wrapping_mul(0x9e37_79b9));
+        let shuffle = parts::hash(seed ^ 0x79c6_8e4a);
         Self {
-            seed: pixel_seed.wrapping_add(block.wrapping_mul(0x9e37_79b9)),
-            index: sample % SEQUENCE,
+            digits: &DIGITS,
+            seed,
+            shuffled: parts::owen_scramble_rev((sample % SEQUENCE).reverse_bits(), shuffle),
             dimension: 0,
             state: hash(u64::from(pixel_seed) << 32 | u64::from(sample)),
         }
@@ -34,26 +57,42 @@ impl Sampler {
     /// A number in [0, 1).
     pub fn next_1d(&mut self) -> f32 {
         if self.dimension < SOBOL_DIMENSIONS {
-            let u = sobol_burley::sample(self.index, self.dimension, self.seed);
+            let u = self.sobol();
             self.dimension += 1;
             return u;
         }
         self.random()
     }
 
+    /// `sobol_burley::sample` to the bit, whose shuffling of the index is made once and whose point comes from a table.
+    #[inline]
+    fn sobol(&self) -> f32 {
+        let places = &self.digits[self.dimension as usize];
+        let digit = |place: usize| places[place][(self.shuffled >> (28 - 4 * place)) as usize & 15];
+        let point = digit(0) ^ digit(1) ^ digit(2) ^ digit(3);
+        let lane = [0x912f_69ba, 0x174f_18ab, 0x691e_72ca, 0xb40c_c1b8][self.dimension as usize & 3];
+        let scramble = (self.dimension >> 2) ^ self.seed.wrapping_mul(0x9c8f_2d3b) ^ lane;
+        let scrambled = parts::owen_scramble_rev(point, parts::hash(scramble));
+        parts::u32_to_f32_norm(scrambled.reverse_bits())
+    }
+
     pub fn next_2d(&mut self) -> Vec2 {
         Vec2::new(self.next_1d(), self.next_1d())
     }
 
-    /// In place of [`Self::next_2d`] where nothing uses it: what follows gets the same numbers.
-    pub fn skip_2d(&mut self) -> Vec2 {
-        for _ in 0..2 {
-            if self.dimension < SOBOL_DIMENSIONS {
-                self.dimension += 1;
-            } else {
-                self.bits();
-            }
+    /// In place of [`Self::next_1d`] where nothing uses it: what follows gets the same numbers.
+    pub fn skip_1d(&mut self) {
+        if self.dimension < SOBOL_DIMENSIONS {
+            self.dimension += 1;
+        } else {
+            self.state = self.state.wrapping_add(STEP);
         }
+    }
+
+    /// In place of [`Self::next_2d`].
+    pub fn skip_2d(&mut self) -> Vec2 {
+        self.skip_1d();
+        self.skip_1d();
         Vec2::ZERO
     }
 
@@ -68,10 +107,13 @@ impl Sampler {
     }
 
     fn bits(&mut self) -> u64 {
-        self.state = self.state.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        self.state = self.state.wrapping_add(STEP);
         mix(self.state)
     }
 }
+
+/// Of the hashed stream's counter: 2^64 over the golden ratio.
+const STEP: u64 = 0x9e37_79b9_7f4a_7c15;
 
 fn mix(mut z: u64) -> u64 {
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -80,12 +122,23 @@ fn mix(mut z: u64) -> u64 {
 }
 
 fn hash(x: u64) -> u64 {
-    mix(x.wrapping_add(0x9e37_79b9_7f4a_7c15))
+    mix(x.wrapping_add(STEP))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn tables_give_the_points_of_sobol_burley() {
+        for (seed, pixel, sample) in [(0, 0, 0), (1, 2, 3), (7, 123_456, 65_535), (0xffff_ffff, 9, 40_961)] {
+            let mut sampler = Sampler::new(seed, pixel, sample);
+            for dimension in 0..SOBOL_DIMENSIONS {
+                let expected = sobol_burley::sample(sample, dimension, sampler.seed);
+                assert_eq!(sampler.next_1d(), expected, "dimension {dimension} of sample {sample}");
+            }
+        }
+    }
 
     /// Whether a lens is there or not, all that follows gets the same numbers, Sobol or hashed.
     #[test]
