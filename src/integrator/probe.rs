@@ -49,6 +49,7 @@ pub fn probe(
 
     // From lights.
     let lights = scene.lights.len();
+    let mut draws = scene.lights.draws(si.p, Some(n), Choice::ONE);
     for i in 0..lights.min(LIGHTS) {
         let u = Vec2::new(sampler.random(), sampler.random());
         let sample = if lights <= LIGHTS {
@@ -56,7 +57,7 @@ pub fn probe(
         } else {
             // One from each stratum of the choice.
             let u_choice = (i as f32 + sampler.random()) / LIGHTS as f32;
-            scene.lights.sample(si.p, Some(n), Choice::ONE, u_choice, u)
+            draws.sample(u_choice, u)
         };
         let Some(light) = sample.filter(|light| light.wi.dot(n) > 0.0 && light.pdf > 0.0) else { continue };
         let share = if lights <= LIGHTS { 1.0 } else { 1.0 / LIGHTS as f32 };

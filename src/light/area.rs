@@ -61,11 +61,13 @@ impl AreaLight {
             (_, Some((axis, spread))) => (axis, spread, FRAC_PI_2),
             (_, None) => (self.emission.axis, PI, FRAC_PI_2),
         };
+        let plane = self.shape.common_normal().filter(|normal| *normal == axis);
+        let plane = plane.map_or(f32::NEG_INFINITY, |normal| normal.dot(0.5 * (min + max)));
         // Products of f32 extremes neither vanish nor overflow.
         let intensity = f64::from(self.emission.bound(self.emission.axis, &Spread::of_angle(PI)))
             * f64::from(self.brightness)
             * f64::from(self.projected_area);
-        Bound { min, max, axis, spread, falloff, intensity }
+        Bound { min, max, axis, spread, falloff, plane, intensity }
     }
 
     /// Estimated irradiance at p without shadows; positive wherever light may arrive. The bounds of the

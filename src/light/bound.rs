@@ -2,10 +2,8 @@
 //!
 //! Conty Estevez and Kulla 2018, "Importance Sampling of Many Lights with Adaptive Tree Splitting", section 4.
 
-use super::choice::{ROUNDING, Spread, facing};
 use crate::math::PI;
 use glam::Vec3;
-use std::f32::consts::FRAC_PI_2;
 
 /// Bounds that can be joined.
 #[derive(Debug, Clone, PartialEq)]
@@ -18,6 +16,8 @@ pub struct Bound {
     pub spread: f32,
     /// Angle beyond the cone where emission ends, radians: pi / 2, with the cosine, about normals; 0 for shaped lights.
     pub falloff: f32,
+    /// Where all normals are `axis`, the least x . axis of what emits: nothing arrives behind. Else minus infinity.
+    pub plane: f32,
     /// Radiance, mean of the channels' magnitudes, times projected area.
     pub intensity: f64,
 }
@@ -25,12 +25,14 @@ pub struct Bound {
 impl Bound {
     pub fn union(&self, other: &Self) -> Self {
         let (axis, spread) = join_cones((self.axis, self.spread), (other.axis, other.spread));
+        let parallel = self.axis == other.axis;
         Self {
             min: self.min.min(other.min),
             max: self.max.max(other.max),
             axis,
             spread,
             falloff: self.falloff.max(other.falloff),
+            plane: if parallel { self.plane.min(other.plane) } else { f32::NEG_INFINITY },
             intensity: self.intensity + other.intensity,
         }
     }
@@ -69,77 +71,4 @@ pub fn join_cones(a: (Vec3, f32), b: (Vec3, f32)) -> (Vec3, f32) {
         }
         _ => (a.0, PI),
     }
-}
-
-/// A bound made ready for points to ask.
-#[derive(Debug, Clone)]
-pub struct Cluster {
-    center: Vec3,
-    /// Half the sides of the box.
-    half: Vec3,
-    radius: f32,
-    axis: Vec3,
-    sin: f32,
-    cos: f32,
-    cos_falloff: f32,
-    intensity: f64,
-}
-
-/// How far f32 angles may be off, as a cosine of the directions that a shaped light keeps to (5e-3 radians).
-const SLACK: f32 = 1e-5;
-
-/// Share of the squared radius that a squared distance counts at least: what is near or around p is not to be trusted alone.
-const NEAREST: f32 = 0.25;
-
-impl Cluster {
-    pub fn new(bound: &Bound) -> Self {
-        let center = 0.5 * (bound.min + bound.max);
-        let (sin, cos) = if bound.spread >= PI { (0.0, -1.0) } else { bound.spread.sin_cos() };
-        // Rounding must not leave an emitting point outside its bound.
-        let half = (0.5 * 1.001) * (bound.max - bound.min) + 4.0 * f32::EPSILON * center.abs().max_element();
-        Self {
-            center,
-            half,
-            radius: half.length(),
-            axis: bound.axis,
-            sin,
-            cos,
-            cos_falloff: if bound.falloff >= FRAC_PI_2 { 0.0 } else { bound.falloff.cos() },
-            intensity: bound.intensity,
-        }
-    }
-
-    /// Estimated irradiance at p without shadows; positive wherever light may arrive.
-    #[inline]
-    pub fn importance(&self, p: Vec3, n: Option<Vec3>) -> f64 {
-        let to = self.center - p;
-        // The box' corner that is farthest along n: the ball about it reaches further.
-        if n.is_some_and(|n| n.dot(to) + n.abs().dot(self.half) < 0.0) {
-            return 0.0;
-        }
-        // The smallest f32 keeps a cluster of no size at p finite.
-        let d2 = to.length_squared().max(f32::MIN_POSITIVE);
-        let nearest = NEAREST * self.radius * self.radius;
-        let ball = Spread::of_ball(self.radius, d2);
-        if ball.is_all() {
-            return self.intensity / f64::from(d2.max(nearest));
-        }
-        let wi = to * d2.sqrt().recip();
-        let cosines = n.map_or(1.0, |n| facing(n, wi, &ball)) * self.emission(-wi, &ball);
-        self.intensity * f64::from(cosines) / f64::from(d2.max(nearest))
-    }
-
-    /// Largest cosine between a normal of the cluster and `wo`, towards a receiver that sees the cluster under `ball`.
-    #[inline]
-    fn emission(&self, wo: Vec3, ball: &Spread) -> f32 {
-        let cos = self.axis.dot(wo).clamp(-1.0, 1.0);
-        let beyond = less(((1.0 - cos * cos).sqrt(), cos), (self.sin, self.cos));
-        let (_, cos) = less(beyond, (ball.sin, ball.cos));
-        if cos < self.cos_falloff - SLACK { 0.0 } else { cos.max(ROUNDING) }
-    }
-}
-
-/// Sine and cosine of max(0, a - b) of two angles in [0, pi], each as sine and cosine.
-fn less(a: (f32, f32), b: (f32, f32)) -> (f32, f32) {
-    if a.1 >= b.1 { (0.0, 1.0) } else { (a.0 * b.1 - a.1 * b.0, a.1 * b.1 + a.0 * b.0) }
 }

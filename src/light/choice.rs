@@ -5,11 +5,11 @@
 //! distant lights are weighed one by one. Sampling and pdf share the weights and the order of their sum.
 
 use super::{
-    Lights,
-    tree::{Receiver, Tree},
+    LightSample, Lights,
+    tree::{Descents, Receiver, Tree},
 };
 use crate::math::PI;
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 
 /// How a receiver's lights are sampled.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -20,7 +20,7 @@ pub enum Choice<'a> {
     Drawn { count: u32, shares: &'a [f32] },
 }
 
-impl Choice<'_> {
+impl<'a> Choice<'a> {
     pub const ONE: Choice<'static> = Choice::Drawn { count: 1, shares: &[] };
 
     /// Samples, of each light or in all.
@@ -30,7 +30,7 @@ impl Choice<'_> {
         }
     }
 
-    fn shares(&self) -> &[f32] {
+    fn shares(self) -> &'a [f32] {
         match self {
             Choice::All(_) => &[],
             Choice::Drawn { shares, .. } => shares,
@@ -80,44 +80,23 @@ impl Lights {
         parts
     }
 
-    /// A light and the probability it was chosen with; `None` where no light can reach p, or none of the cluster that was
-    /// chosen.
-    pub(super) fn choose(&self, p: Vec3, n: Option<Vec3>, choice: Choice, u: f32) -> Option<(u32, f32)> {
-        let (u, shares) = (f64::from(u), choice.shares());
-        let beside = self.weigh(p, n, shares);
-        let Some((tree, in_tree)) = self.weigh_tree(p, n, shares) else {
-            let (light, probability, _) = pick(beside, 0.0, u)?;
-            return Some((light?, probability as f32));
-        };
-        match pick(beside, in_tree, u)? {
-            (Some(light), probability, _) => Some((light, probability as f32)),
-            (None, probability, u) => {
-                let (light, within) = tree.descend(&self.receiver(p, n, shares), u)?;
-                Some((light, (probability * within) as f32))
-            }
-        }
+    /// Lights drawn for the receiver at `p`, one by one.
+    pub fn draws<'a>(&'a self, p: Vec3, n: Option<Vec3>, choice: Choice<'a>) -> Draws<'a, impl Fn(u32) -> f64> {
+        let tree = self.tree.as_ref().map(move |tree| tree.descents(self.receiver(p, n, choice.shares())));
+        Draws { lights: self, p, n, choice, tree }
     }
 
     /// Expected number of samples of `light` at p.
     pub fn choice_probability(&self, light: u32, p: Vec3, n: Option<Vec3>, choice: Choice) -> f32 {
         let Choice::Drawn { count, shares } = choice else { return choice.count() as f32 };
-        let own = if self.weight(light, p, n) > 0.0 { Some(light) } else { return 0.0 };
-        let probability = match self.weigh_tree(p, n, shares) {
-            None => share(self.weigh(p, n, shares), 0.0, own),
-            Some((tree, in_tree)) if tree.contains(light) => {
-                share(self.weigh(p, n, shares), in_tree, None) * tree.probability(light, &self.receiver(p, n, shares))
-            }
-            Some((_, in_tree)) => share(self.weigh(p, n, shares), in_tree, own),
+        let (beside, at) = (self.weigh(p, n, shares), self.receiver(p, n, shares));
+        let in_tree = |tree: &Tree| if self.beside.is_empty() { ALONE } else { tree.irradiance(&at) };
+        let probability = match &self.tree {
+            None => share(beside, 0.0, Some(light)),
+            Some(tree) if tree.contains(light) => share(beside, in_tree(tree), None) * tree.probability(light, &at),
+            Some(tree) => share(beside, in_tree(tree), Some(light)),
         };
         (f64::from(count) * probability) as f32
-    }
-
-    /// The tree and what it weighs as a whole.
-    fn weigh_tree(&self, p: Vec3, n: Option<Vec3>, shares: &[f32]) -> Option<(&Tree, f64)> {
-        let tree = self.tree.as_ref()?;
-        // Against nothing it may weigh anything.
-        let importance = if self.beside.is_empty() { 1.0 } else { tree.importance(p, n) };
-        Some((tree, importance * f64::from(shares.get(self.beside.len()).copied().unwrap_or(1.0))))
     }
 
     fn receiver<'a>(&'a self, p: Vec3, n: Option<Vec3>, shares: &'a [f32]) -> Receiver<'a, impl Fn(u32) -> f64> {
@@ -136,6 +115,47 @@ impl Lights {
             let weight = self.weight(light, p, n) * f64::from(shares.get(place).copied().unwrap_or(1.0));
             (weight > 0.0).then_some((light, weight))
         })
+    }
+}
+
+/// What the tree weighs where there is nothing beside it: anything.
+const ALONE: f64 = 1.0;
+
+/// Draws of lights for one receiver.
+pub struct Draws<'a, F> {
+    lights: &'a Lights,
+    p: Vec3,
+    n: Option<Vec3>,
+    choice: Choice<'a>,
+    tree: Option<Descents<'a, F>>,
+}
+
+impl<F: Fn(u32) -> f64> Draws<'_, F> {
+    /// A light by its estimated contribution, and a direction to it; `None`: this sample contributes nothing.
+    ///
+    /// The pdf counts as many samples as the choice draws. That is not `All`: of all lights each is asked by
+    /// [`Lights::sample_light`].
+    pub fn sample(&mut self, u_choice: f32, u: Vec2) -> Option<LightSample> {
+        let (light, chosen) = self.choose(u_choice)?;
+        let mut sample = self.lights.sample_light(light, self.p, self.n, u)?;
+        sample.pdf *= chosen * self.choice.count() as f32;
+        (sample.pdf > 0.0 && sample.pdf.is_finite()).then_some(sample)
+    }
+
+    /// A light and the probability it was chosen with; `None` where no light can reach p, or none of the cluster that was
+    /// chosen.
+    pub(super) fn choose(&mut self, u: f32) -> Option<(u32, f32)> {
+        let beside = self.lights.weigh(self.p, self.n, self.choice.shares());
+        let in_tree = self
+            .tree
+            .as_mut()
+            .map_or(0.0, |tree| if self.lights.beside.is_empty() { ALONE } else { tree.irradiance() });
+        let (light, probability, u) = pick(beside, in_tree, f64::from(u))?;
+        if let Some(light) = light {
+            return Some((light, probability as f32));
+        }
+        let (light, within) = self.tree.as_mut()?.descend(u)?;
+        Some((light, (probability * within) as f32))
     }
 }
 

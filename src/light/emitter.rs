@@ -30,7 +30,7 @@ pub struct Emitter {
 impl Lights {
     /// A target drawn for `p`; `None`: this sample contributes nothing.
     pub fn sample_emitter(&self, p: Vec3, u_choice: f32, u: Vec2) -> Option<Emitter> {
-        let (light, chosen) = self.choose(p, None, Choice::ONE, u_choice)?;
+        let (light, chosen) = self.draws(p, None, Choice::ONE).choose(u_choice)?;
         let infinite = |(wi, pdf): (Vec3, f32), delta| {
             let density = chosen * pdf;
             let straight = if delta { f32::INFINITY } else { density };

@@ -18,6 +18,7 @@ mod dome;
 mod ellipsoid;
 mod emission;
 mod emitter;
+mod lanes;
 mod latlong;
 mod linking;
 mod mesh;
@@ -26,13 +27,14 @@ mod rect;
 mod shadow;
 mod shape;
 mod shaping;
+mod split;
 #[cfg(test)]
 mod tests;
 mod texels;
 mod tree;
 
 pub use area::AreaLight;
-pub use choice::{Choice, Parts};
+pub use choice::{Choice, Draws, Parts};
 pub use compile::MeshTriangles;
 pub use distant::Distant;
 pub use dome::Dome;
@@ -142,17 +144,10 @@ impl Lights {
         matches!(&self.lights[light as usize], Light::Area(AreaLight { shape: Shape::Mesh(_), .. }))
     }
 
-    /// A light drawn by its estimated contribution at `p`, and a direction to it. `n` is the normal of a
-    /// receiver that takes light from its side only; without it light from all around counts. `None`: this
-    /// sample contributes nothing.
-    ///
-    /// The pdf counts as many samples as `choice` draws. `choice` is not `All`: of all lights each is asked by
-    /// [`Self::sample_light`].
+    /// A light drawn by its estimated contribution at `p`, as [`Draws::sample`] does. `n` is the normal of a receiver that takes
+    /// light from its side only; without it light from all around counts.
     pub fn sample(&self, p: Vec3, n: Option<Vec3>, choice: Choice, u_choice: f32, u: Vec2) -> Option<LightSample> {
-        let (light, chosen) = self.choose(p, n, choice, u_choice)?;
-        let mut sample = self.sample_light(light, p, n, u)?;
-        sample.pdf *= chosen * choice.count() as f32;
-        (sample.pdf > 0.0 && sample.pdf.is_finite()).then_some(sample)
+        self.draws(p, n, choice).sample(u_choice, u)
     }
 
     /// As [`Self::sample`] with the light given: the pdf is without the choice.

@@ -1,52 +1,74 @@
-//! A binary tree over area lights: one of many is drawn at a cost that grows with the logarithm of their number.
+//! A tree over area lights: one of many is drawn at a cost that grows with the logarithm of their number.
 //!
-//! Conty Estevez and Kulla 2018, "Importance Sampling of Many Lights with Adaptive Tree Splitting", without the splitting:
-//! clusters split by the surface area orientation heuristic, and a descent by what each child might give. A leaf is a light and
-//! weighs what this weighs where all are weighed, so that a descent hardly ever ends where nothing is.
+//! After Conty Estevez and Kulla 2018, "Importance Sampling of Many Lights with Adaptive Tree Splitting", eight children wide
+//! in place of the splitting: a descent chooses among more clusters at a time, which are smaller, and weighs them together.
 
 use super::{
-    bound::{Bound, Cluster},
+    bound::Bound,
     choice::Parts,
+    lanes::{LANES, Lanes},
+    split::split,
 };
 use glam::Vec3;
-use std::collections::VecDeque;
+use std::{collections::VecDeque, ops::Range};
 
-/// Area lights up to which all are weighed: a tree costs as much and knows less (docs/performance.md, Lights).
+/// Area lights up to which all are weighed: a tree knows less (docs/performance.md, Lights).
 pub const FEW: usize = 16;
 
-/// Nodes from the root on whose visible share is learned by region: five levels.
-const PARTS: usize = 63;
+/// Nodes from the root on of whose children visible shares are learned by region: two levels.
+const KNOWN: usize = 1 + LANES;
 
-const BINS: usize = 12;
-
-/// Levels from which clusters are halved by count: the heuristic may peel off one light at a time.
-const DEEPEST: u32 = 40;
+/// Levels of which a receiver's descents remember the last node.
+const REMEMBERED: usize = 4;
 
 const NONE: u32 = u32::MAX;
 
 #[derive(Debug, Clone)]
 pub struct Tree {
-    /// Breadth first; siblings are neighbours, the left one at an odd index.
+    /// Breadth first.
     nodes: Vec<Node>,
-    /// By light: its leaf; `NONE` for those that are not in the tree.
-    leaves: Vec<u32>,
+    /// By light: the child that it is; of no node, those that are not in the tree.
+    leaves: Vec<Place>,
 }
 
 #[derive(Debug, Clone)]
 struct Node {
-    cluster: Cluster,
-    parent: u32,
-    /// The left child; 0: a leaf.
-    left: u32,
-    /// Of a leaf.
-    light: u32,
+    lanes: Lanes,
+    children: [Child; LANES],
+    /// By bit: children that are lights.
+    lights: u32,
+    /// The child that this node is.
+    place: Place,
+}
+
+#[derive(Debug, Clone, Copy)]
+enum Child {
+    Node(u32),
+    Light(u32),
+    None,
+}
+
+/// A child of a node.
+#[derive(Debug, Clone, Copy)]
+struct Place {
+    node: u32,
+    lane: u32,
+}
+
+impl Place {
+    const NONE: Self = Self { node: NONE, lane: 0 };
+
+    /// Its part among those of the tree; 0 is the root.
+    fn part(self) -> u32 {
+        if self.node == NONE { 0 } else { 1 + self.node * LANES as u32 + self.lane }
+    }
 }
 
 /// Who asks.
 pub struct Receiver<'a, F> {
     pub p: Vec3,
     pub n: Option<Vec3>,
-    /// Visible, of the first nodes; of all others 1.
+    /// Visible, of the tree's parts; of all others 1.
     pub shares: &'a [f32],
     /// Of a light by itself.
     pub weight: F,
@@ -61,151 +83,198 @@ impl Tree {
     /// The same, however few; there is one light at least.
     pub fn over(bounds: &[(u32, Bound)], lights: usize) -> Self {
         let mut bounds = bounds.to_vec();
-        let mut tree = Self { nodes: Vec::new(), leaves: vec![NONE; lights] };
-        tree.nodes.push(Node::of(&bounds, NONE));
-        let mut waiting = VecDeque::from([(0, 0..bounds.len(), 0)]);
-        while let Some((at, range, depth)) = waiting.pop_front() {
-            let own = &mut bounds[range.clone()];
-            if let [(light, _)] = own {
-                tree.nodes[at].light = *light;
-                tree.leaves[*light as usize] = at as u32;
-                continue;
+        let mut tree = Self { nodes: Vec::new(), leaves: vec![Place::NONE; lights] };
+        let mut waiting = VecDeque::from([(Cluster::of(&bounds, 0..bounds.len(), 0), Place::NONE)]);
+        let mut named = 1;
+        while let Some((cluster, place)) = waiting.pop_front() {
+            let clusters = cluster.open(&mut bounds);
+            let node = tree.nodes.len() as u32;
+            let lanes: Vec<Bound> = clusters.iter().map(|cluster| cluster.bound.clone()).collect();
+            let (mut children, mut lights) = ([Child::None; LANES], 0);
+            for (lane, cluster) in clusters.into_iter().enumerate() {
+                let at = Place { node, lane: lane as u32 };
+                if cluster.range.len() == 1 {
+                    let light = bounds[cluster.range.start].0;
+                    children[lane] = Child::Light(light);
+                    lights |= 1 << lane;
+                    tree.leaves[light as usize] = at;
+                } else {
+                    children[lane] = Child::Node(named);
+                    named += 1;
+                    waiting.push_back((cluster, at));
+                }
             }
-            let middle = range.start + split(own, depth);
-            let first = tree.nodes.len();
-            tree.nodes[at].left = first as u32;
-            for (child, part) in [range.start..middle, middle..range.end].into_iter().enumerate() {
-                tree.nodes.push(Node::of(&bounds[part.clone()], at as u32));
-                waiting.push_back((first + child, part, depth + 1));
-            }
+            tree.nodes.push(Node { lanes: Lanes::new(&lanes), children, lights, place });
         }
         tree
     }
 
     pub fn contains(&self, light: u32) -> bool {
-        self.leaves[light as usize] != NONE
+        self.leaves[light as usize].node != NONE
     }
 
-    /// Estimate of what all lights together give at p.
-    pub fn importance(&self, p: Vec3, n: Option<Vec3>) -> f64 {
-        self.nodes[0].cluster.importance(p, n)
+    /// Descents for one receiver.
+    pub fn descents<'a, F: Fn(u32) -> f64>(&'a self, at: Receiver<'a, F>) -> Descents<'a, F> {
+        Descents { tree: self, at, passed: [Passed::NOTHING; REMEMBERED] }
     }
 
-    /// A light and its probability; `None` where none of the clusters passed can reach p.
-    pub fn descend(&self, at: &Receiver<impl Fn(u32) -> f64>, mut u: f64) -> Option<(u32, f64)> {
-        let (mut node, mut probability) = (0, 1.0);
-        while self.nodes[node].left > 0 {
-            let left = self.nodes[node].left as usize;
-            let share = self.left_share(left, at)?;
-            if u < share {
-                (node, probability, u) = (left, probability * share, u / share);
-            } else {
-                (node, probability, u) = (left + 1, probability * (1.0 - share), (u - share) / (1.0 - share));
-            }
-        }
-        Some((self.nodes[node].light, probability))
+    /// Estimate of what all lights together give.
+    pub fn irradiance(&self, at: &Receiver<impl Fn(u32) -> f64>) -> f64 {
+        self.weigh(0, at).sum * self.nodes[0].lanes.unit
     }
 
-    /// Probability with which [`Self::descend`] comes to `light`.
+    /// Probability with which a descent comes to `light`.
     pub fn probability(&self, light: u32, at: &Receiver<impl Fn(u32) -> f64>) -> f64 {
-        let (mut node, mut probability) = (self.leaves[light as usize] as usize, 1.0);
-        while node > 0 && probability > 0.0 {
-            let is_left = node % 2 == 1;
-            let left = if is_left { node } else { node - 1 };
-            let share = self.left_share(left, at).map(|share| if is_left { share } else { 1.0 - share });
-            probability *= share.unwrap_or(0.0);
-            node = self.nodes[node].parent as usize;
+        let (mut place, mut probability) = (self.leaves[light as usize], 1.0);
+        while place.node != NONE && probability > 0.0 {
+            probability *= self.weigh(place.node, at).share(place.lane as usize);
+            place = self.nodes[place.node as usize].place;
         }
         probability
     }
 
-    /// Probability of node `left` against its sibling; `None` where neither gives anything.
-    fn left_share(&self, left: usize, at: &Receiver<impl Fn(u32) -> f64>) -> Option<f64> {
-        let weight = |i: usize| {
-            let node = &self.nodes[i];
-            let importance = match node.left {
-                0 => (at.weight)(node.light),
-                _ => node.cluster.importance(at.p, at.n),
-            };
-            importance * f64::from(at.shares.get(i).copied().unwrap_or(1.0))
-        };
-        let (a, b) = (weight(left), weight(left + 1));
-        (a + b > 0.0).then(|| a / (a + b))
+    /// Weighs a node's children. A light about the receiver weighs what it weighs by itself: from behind or within, nothing.
+    #[inline]
+    fn weigh(&self, node: u32, at: &Receiver<impl Fn(u32) -> f64>) -> Passed {
+        let of = &self.nodes[node as usize];
+        let given = of.lanes.weigh(at.p, at.n);
+        let mut weights = [0.0; LANES];
+        given.fours[0].write_to_slice(&mut weights[..4]);
+        given.fours[1].write_to_slice(&mut weights[4..]);
+        let mut near = given.near & of.lights;
+        while near != 0 {
+            let lane = near.trailing_zeros() as usize;
+            let Child::Light(light) = of.children[lane] else { break };
+            weights[lane] = of.lanes.weight((at.weight)(light));
+            near &= near - 1;
+        }
+        let first = Place { node, lane: 0 }.part() as usize;
+        if let Some(shares) = at.shares.get(first..first + LANES) {
+            (0..LANES).for_each(|lane| weights[lane] *= shares[lane]);
+        }
+        let sum = weights.iter().map(|weight| f64::from(*weight)).sum();
+        Passed { node, weights, sum }
     }
 
-    /// Adds the first nodes to `parts`, which may hold other lights already.
+    /// Adds the root and the children of the first nodes to `parts`, which may hold other lights already.
     pub fn add_parts(&self, parts: &mut Parts) {
         let offset = parts.parents.len() as u32;
-        let known = self.nodes.len().min(PARTS);
-        parts
-            .parents
-            .extend(self.nodes[..known].iter().map(|node| (node.parent != NONE).then(|| offset + node.parent)));
-        for (light, leaf) in self.leaves.iter().enumerate().filter(|(_, leaf)| **leaf != NONE) {
+        let known = self.nodes.len().min(KNOWN);
+        parts.parents.push(None);
+        for node in &self.nodes[..known] {
+            parts.parents.extend([Some(offset + node.place.part()); LANES]);
+        }
+        for (light, leaf) in self.leaves.iter().enumerate().filter(|(_, leaf)| leaf.node != NONE) {
             let mut at = *leaf;
-            while at as usize >= known {
-                at = self.nodes[at as usize].parent;
+            while at.node as usize >= known {
+                at = self.nodes[at.node as usize].place;
             }
-            parts.of_light[light] = offset + at;
+            parts.of_light[light] = offset + at.part();
         }
     }
 }
 
-impl Node {
-    fn of(lights: &[(u32, Bound)], parent: u32) -> Self {
-        let bound = lights.iter().map(|(_, bound)| bound.clone()).reduce(|a, b| a.union(&b));
-        let bound = bound.expect("a cluster holds lights");
-        Self { cluster: Cluster::new(&bound), parent, left: 0, light: 0 }
+/// A node that was weighed.
+#[derive(Debug, Clone, Copy)]
+struct Passed {
+    node: u32,
+    /// Of its children.
+    weights: [f32; LANES],
+    sum: f64,
+}
+
+impl Passed {
+    const NOTHING: Self = Self { node: NONE, weights: [0.0; LANES], sum: 0.0 };
+
+    fn share(&self, lane: usize) -> f64 {
+        if self.sum > 0.0 { f64::from(self.weights[lane]) / self.sum } else { 0.0 }
+    }
+
+    /// A child and `u` remapped; nothing where none gives anything.
+    #[inline]
+    fn pick(&self, u: f64) -> Option<(usize, f64)> {
+        let mut left = u * self.sum;
+        // Rounding may leave a remainder beyond the last weight: it is the last child's.
+        let mut last = None;
+        for (lane, weight) in self.weights.iter().enumerate().filter(|(_, weight)| **weight > 0.0) {
+            let weight = f64::from(*weight);
+            if left < weight {
+                return Some((lane, left / weight));
+            }
+            left -= weight;
+            last = Some((lane, 1.0));
+        }
+        last
     }
 }
 
-/// Sorts the lights into two clusters; the number of those in the first, which is neither 0 nor all.
-fn split(lights: &mut [(u32, Bound)], depth: u32) -> usize {
-    let centre = |bound: &Bound| 0.5 * (bound.min + bound.max);
-    let (lo, hi) = lights
-        .iter()
-        .map(|(_, bound)| (centre(bound), centre(bound)))
-        .reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
-        .expect("a cluster holds lights");
-    let size = hi - lo;
-    let bin = |bound: &Bound, axis: usize| {
-        let x = (centre(bound)[axis] - lo[axis]) / size[axis];
-        ((x * BINS as f32) as usize).min(BINS - 1)
-    };
-    let mut best: Option<(f64, usize, usize)> = None;
-    for axis in (0..3).filter(|&axis| depth < DEEPEST && size[axis] > 0.0 && size[axis].is_finite()) {
-        let mut bins: [Option<Bound>; BINS] = [const { None }; BINS];
-        for (_, bound) in lights.iter() {
-            let slot = &mut bins[bin(bound, axis)];
-            *slot = Some(slot.as_ref().map_or(bound.clone(), |old| old.union(bound)));
-        }
-        // Thin slices of long boxes are worse than their area says (Conty Estevez and Kulla 2018, section 4.4).
-        let regularity = f64::from(size.max_element() / size[axis]);
-        for (plane, cost) in costs(&bins) {
-            if best.is_none_or(|(least, ..)| regularity * cost < least) {
-                best = Some((regularity * cost, axis, plane));
+/// Descents for one receiver: neighbours in u pass the same nodes, which are weighed once.
+pub struct Descents<'a, F> {
+    tree: &'a Tree,
+    at: Receiver<'a, F>,
+    /// By depth, the last ones.
+    passed: [Passed; REMEMBERED],
+}
+
+impl<F: Fn(u32) -> f64> Descents<'_, F> {
+    pub fn irradiance(&mut self) -> f64 {
+        self.pass(0, 0).sum * self.tree.nodes[0].lanes.unit
+    }
+
+    /// A light and its probability; `None` where none of the clusters passed can reach the receiver.
+    pub fn descend(&mut self, mut u: f64) -> Option<(u32, f64)> {
+        let (mut node, mut probability) = (0, 1.0);
+        for depth in 0.. {
+            let passed = self.pass(node, depth);
+            let (lane, rest) = passed.pick(u)?;
+            (probability, u) = (probability * passed.share(lane), rest);
+            match self.tree.nodes[node as usize].children[lane] {
+                Child::Node(child) => node = child,
+                Child::Light(light) => return Some((light, probability)),
+                Child::None => break,
             }
         }
+        None
     }
-    let Some((_, axis, plane)) = best else { return lights.len() / 2 };
-    // Stable: the tree is a function of the scene.
-    lights.sort_by_key(|(_, bound)| bin(bound, axis) >= plane);
-    lights.iter().filter(|(_, bound)| bin(bound, axis) < plane).count()
+
+    #[inline]
+    fn pass(&mut self, node: u32, depth: usize) -> Passed {
+        let Some(last) = self.passed.get_mut(depth) else { return self.tree.weigh(node, &self.at) };
+        if last.node != node {
+            *last = self.tree.weigh(node, &self.at);
+        }
+        *last
+    }
 }
 
-/// Cost of a split before each bin that leaves lights on both sides.
-fn costs(bins: &[Option<Bound>; BINS]) -> impl Iterator<Item = (usize, f64)> {
-    let mut below: [Option<Bound>; BINS] = [const { None }; BINS];
-    let mut above = below.clone();
-    let join = |a: &Option<Bound>, b: &Option<Bound>| match (a, b) {
-        (Some(a), Some(b)) => Some(a.union(b)),
-        (a, b) => a.clone().or_else(|| b.clone()),
-    };
-    for i in 1..BINS {
-        below[i] = join(&below[i - 1], &bins[i - 1]);
+/// Lights that are neighbours.
+struct Cluster {
+    range: Range<usize>,
+    bound: Bound,
+    /// Halvings that led to it.
+    depth: u32,
+}
+
+impl Cluster {
+    fn of(lights: &[(u32, Bound)], range: Range<usize>, depth: u32) -> Self {
+        let bound = lights[range.clone()].iter().map(|(_, bound)| bound.clone()).reduce(|a, b| a.union(&b));
+        Self { range, bound: bound.expect("a cluster holds lights"), depth }
     }
-    above[BINS - 1] = bins[BINS - 1].clone();
-    for i in (0..BINS - 1).rev() {
-        above[i] = join(&above[i + 1], &bins[i]);
+
+    /// Its clusters, at most [`LANES`]: halved as long as there is room, the one with the greatest cost first. Neighbours stay
+    /// neighbours.
+    fn open(self, lights: &mut [(u32, Bound)]) -> Vec<Self> {
+        let mut clusters = vec![self];
+        while clusters.len() < LANES {
+            let cost = |at: &usize| clusters[*at].bound.cost();
+            let divisible = (0..clusters.len()).filter(|&at| clusters[at].range.len() > 1);
+            let Some(at) = divisible.max_by(|a, b| cost(a).total_cmp(&cost(b))) else { break };
+            let Self { range, depth, .. } = clusters.remove(at);
+            let middle = range.start + split(&mut lights[range.clone()], depth);
+            for (i, part) in [range.start..middle, middle..range.end].into_iter().enumerate() {
+                clusters.insert(at + i, Self::of(lights, part, depth + 1));
+            }
+        }
+        clusters
     }
-    (1..BINS).filter_map(move |i| Some((i, below[i].as_ref()?.cost() + above[i].as_ref()?.cost())))
 }

@@ -43,7 +43,7 @@ fn probabilities_sum_to_one_and_are_the_frequencies() {
             let mut counts = vec![0.0; lights.len()];
             const N: u32 = 20_000;
             for i in 0..N {
-                let (light, probability) = lights.choose(p, n, Choice::ONE, (i as f32 + 0.5) / N as f32).unwrap();
+                let (light, probability) = lights.draws(p, n, Choice::ONE).choose((i as f32 + 0.5) / N as f32).unwrap();
                 assert_eq!(probability, probabilities[light as usize]);
                 counts[light as usize] += 1.0 / N as f32;
             }

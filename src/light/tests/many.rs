@@ -113,7 +113,7 @@ fn what_is_chosen_is_chosen_as_often_as_said() {
                 let mut counts = vec![0.0; lights.len()];
                 let mut none = 0.0;
                 for _ in 0..N {
-                    match lights.choose(p, n, choice, random.next()) {
+                    match lights.draws(p, n, choice).choose(random.next()) {
                         Some((light, p)) => {
                             counts[light as usize] += 1.0;
                             assert!((f64::from(p) / probabilities[light as usize] - 1.0).abs() < 1e-4, "{name}");
@@ -134,6 +134,25 @@ fn what_is_chosen_is_chosen_as_often_as_said() {
         }
         println!("{name}: at least {least:.2} of the descents find a light");
         assert!(least > 0.2, "{name}: {least}");
+    }
+}
+
+/// What descents remember changes nothing, in whatever order they come.
+#[test]
+fn draws_for_one_receiver_are_those_of_many() {
+    for (name, rig) in rigs() {
+        let lights = compile(&rig);
+        let mut random = Random::new(17);
+        for _ in 0..20 {
+            let (p, n) = receiver(&mut random);
+            let shares = shares(&lights, &mut random);
+            let choice = Choice::Drawn { count: 4, shares: &shares };
+            let mut draws = lights.draws(p, Some(n), choice);
+            for _ in 0..20 {
+                let u = random.next();
+                assert_eq!(draws.choose(u), lights.draws(p, Some(n), choice).choose(u), "{name}");
+            }
+        }
     }
 }
 
@@ -262,7 +281,7 @@ fn cost_against_the_number_of_lights() {
             for (p, n) in &receivers {
                 let us: Vec<f32> = (0..20).map(|_| random.next()).collect();
                 let begun = std::time::Instant::now();
-                let chosen = us.iter().filter_map(|u| lights.choose(*p, Some(*n), Choice::ONE, *u)).map(|c| c.0);
+                let chosen = us.iter().filter_map(|u| lights.draws(*p, Some(*n), Choice::ONE).choose(*u)).map(|c| c.0);
                 let chosen: Vec<u32> = chosen.collect();
                 choose.push(begun.elapsed().as_nanos() / 20);
                 let begun = std::time::Instant::now();
