@@ -74,6 +74,8 @@ pub enum Attribute {
     Text(String),
     Float(f32),
     Int(i32),
+    /// xy of red, green, blue, white: of the header itself, in place of Rec.709's; under no name of its own.
+    Chromaticities([f32; 8]),
 }
 
 /// ITU-R BT.709-6, table 1: primaries and the D65 white, CIE xy.
@@ -105,7 +107,7 @@ pub fn write_exr(file: &Path, frame: &Frame, layers: Vec<Layer>, attributes: &[(
     check_frame(frame).map_err(|message| fault("window", message))?;
     let channels = channels(frame, layers).map_err(|message| fault("channels", message))?;
     let metadata = metadata(attributes).map_err(|message| fault("attributes", message))?;
-    let image = image(frame, channels, metadata);
+    let image = image(frame, channels, metadata, chromaticities(attributes));
     replace_file(file, |writer| image.write().to_buffered(writer).map_err(into_io))
         .map_err(|error| fault("file", error.to_string()))
 }
@@ -160,18 +162,30 @@ fn metadata(attributes: &[(String, Attribute)]) -> std::result::Result<Vec<(Text
         if !names.insert(name) {
             return Err(format!("{name} is there twice"));
         }
-        list.push((checked_name(name)?, attribute_value(value)));
+        let Some(value) = attribute_value(value) else { continue };
+        list.push((checked_name(name)?, value));
     }
     Ok(list)
 }
 
-fn attribute_value(value: &Attribute) -> AttributeValue {
-    match value {
+fn attribute_value(value: &Attribute) -> Option<AttributeValue> {
+    Some(match value {
         // UTF-8 as it is, which is what today's readers expect of strings.
         Attribute::Text(text) => AttributeValue::Text(Text::from_slice_unchecked(text.as_bytes())),
         Attribute::Float(value) => AttributeValue::F32(*value),
         Attribute::Int(value) => AttributeValue::I32(*value),
-    }
+        Attribute::Chromaticities(_) => return None,
+    })
+}
+
+/// Of the attributes, else Rec.709's.
+fn chromaticities(attributes: &[(String, Attribute)]) -> Chromaticities {
+    let given = attributes.iter().find_map(|(_, value)| match value {
+        Attribute::Chromaticities(xy) => Some(*xy),
+        _ => None,
+    });
+    let Some([rx, ry, gx, gy, bx, by, wx, wy]) = given else { return REC709 };
+    Chromaticities { red: Vec2(rx, ry), green: Vec2(gx, gy), blue: Vec2(bx, by), white: Vec2(wx, wy) }
 }
 
 /// A name as the format stores it: terminated by a zero byte, hence none inside.
@@ -186,6 +200,7 @@ fn image(
     frame: &Frame,
     channels: AnyChannels<FlatSamples>,
     metadata: Vec<(Text, AttributeValue)>,
+    chromaticities: Chromaticities,
 ) -> Image<exr::image::Layer<AnyChannels<FlatSamples>>> {
     let size = |[x, y]: [u32; 2]| Vec2(x as usize, y as usize);
     let layer_attributes = LayerAttributes {
@@ -199,7 +214,7 @@ fn image(
         Encoding { compression: Compression::ZIP16, blocks: Blocks::ScanLines, line_order: LineOrder::Increasing };
     let image_attributes = ImageAttributes {
         pixel_aspect: frame.pixel_aspect_ratio,
-        chromaticities: Some(REC709),
+        chromaticities: Some(chromaticities),
         ..ImageAttributes::new(IntegerBounds::from_dimensions(size(frame.resolution)))
     };
     let layer = exr::image::Layer::new(size(frame.data_size), layer_attributes, encoding, channels);

@@ -1,6 +1,6 @@
 //! The Python module `dermis._core`: the render delegate with numpy arrays in and out.
 
-use dermis::delegate::{DirtyBits, LayerSpec, RenderDelegate};
+use dermis::delegate::{DirtyBits, LayerSpec, RenderDelegate, xy};
 use dermis::error::{Error, Warning};
 use dermis::flat::{self, Prim, RenderSettings, StageInfo, array::AnyArray, array::with_arrays};
 use dermis::output::{Attribute, Frame, Layer, Samples, write_exr};
@@ -160,7 +160,7 @@ impl Delegate {
             let flat = numpy::PyArray1::from_vec(py, plane.values);
             let shape = [height as usize, width as usize, plane.channels];
             let image: Bound<'py, PyArray3<f32>> = flat.reshape(shape)?;
-            aovs.set_item(plane.name, image)?;
+            aovs.set_item(&*plane.name, image)?;
         }
         Ok(aovs)
     }
@@ -228,7 +228,13 @@ fn write_channels(
     let frame = Frame { resolution, data_origin, data_size, pixel_aspect_ratio };
     let attributes: BTreeMap<String, serde_json::Value> =
         serde_json::from_str(attributes).map_err(|e| json_error("attributes", e))?;
-    let attributes: Vec<_> = attributes.into_iter().map(|(name, value)| (name, attribute(value))).collect();
+    let attributes: Vec<_> = attributes
+        .into_iter()
+        .map(|(name, value)| match xy(&name, &value) {
+            Some(xy) => (name, Attribute::Chromaticities(xy)),
+            None => (name, attribute(value)),
+        })
+        .collect();
     let layers = channels.iter().map(|(name, values)| {
         let samples = if let Ok(values) = values.extract::<PyReadonlyArrayDyn<'_, u32>>() {
             Samples::U32(values.as_array().iter().copied().collect())

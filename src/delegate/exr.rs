@@ -3,6 +3,7 @@
 use super::RenderDelegate;
 use crate::error::{Error, Result};
 use crate::film::{Plane, cryptomatte};
+use crate::flat::PRIMVAR_AOV;
 use crate::output::{Attribute, Frame, Layer, Samples, write_exr};
 use exr::prelude::f16;
 use serde::Deserialize;
@@ -18,6 +19,9 @@ pub struct LayerSpec {
     /// Half floats; ids and Cryptomatte stay what they are.
     #[serde(default)]
     pub half: bool,
+    /// Letters of the channels of a primvar, at most three; empty: `RGB`.
+    #[serde(default)]
+    pub channels: String,
 }
 
 impl RenderDelegate {
@@ -72,7 +76,10 @@ impl RenderDelegate {
             Value::String(text) => text,
             other => other.to_string(),
         };
-        let given = attributes.into_iter().map(|(name, value)| (name, Attribute::Text(text(value))));
+        let given = attributes.into_iter().map(|(name, value)| match xy(&name, &value) {
+            Some(xy) => (name, Attribute::Chromaticities(xy)),
+            None => (name, Attribute::Text(text(value))),
+        });
         let stats = self.stats();
         let number = |pointer: &str| stats.pointer(pointer).and_then(Value::as_f64).unwrap_or(0.0) as f32;
         let measured = [
@@ -104,6 +111,13 @@ impl RenderDelegate {
     }
 }
 
+/// The value of `chromaticities`: eight numbers.
+pub fn xy(name: &str, value: &Value) -> Option<[f32; 8]> {
+    let numbers = value.as_array().filter(|_| name == "chromaticities")?;
+    let numbers: Vec<f32> = numbers.iter().filter_map(|x| Some(x.as_f64()? as f32)).collect();
+    numbers.try_into().ok()
+}
+
 /// The planes of a layer; Cryptomatte keeps its names, by which readers know it.
 fn named(spec: &LayerSpec, planes: &[Plane]) -> Vec<Layer<'static>> {
     if spec.aov == "cryptoObject" {
@@ -114,7 +128,14 @@ fn named(spec: &LayerSpec, planes: &[Plane]) -> Vec<Layer<'static>> {
 
 /// A plane as EXR channels: names as compositors expect them, ids as integers.
 fn layer(plane: &Plane, spec: Option<&LayerSpec>) -> Layer<'static> {
-    let names: &[&'static str] = match plane.name {
+    let letters = spec.map_or("", |spec| spec.channels.as_str());
+    let names: &[&'static str] = match &*plane.name {
+        name if name.starts_with(PRIMVAR_AOV) => match letters {
+            "Y" => &["Y"],
+            "XY" => &["X", "Y"],
+            "XYZ" => &["X", "Y", "Z"],
+            _ => &["R", "G", "B"],
+        },
         "color" => &["R", "G", "B", "A"],
         "depth" | "distance" | "deviceDepth" => &["Z"],
         "primId" | "region" => &["id"],
@@ -127,14 +148,14 @@ fn layer(plane: &Plane, spec: Option<&LayerSpec>) -> Layer<'static> {
     };
     let channel = |c: usize| plane.values.iter().skip(c).step_by(plane.channels);
     let half = spec.is_some_and(|spec| spec.half) && !plane.name.starts_with("cryptoObject");
-    let samples = |c: usize| match plane.name {
+    let samples = |c: usize| match &*plane.name {
         // -1 (nothing hit, no region) becomes the largest id.
         "primId" | "region" => Samples::U32(channel(c).map(|&id| id as i32 as u32).collect()),
         "sampleCount" => Samples::U32(channel(c).map(|&count| count as u32).collect()),
         _ if half => Samples::F16(channel(c).map(|&value| f16::from_f32(value)).collect()),
         _ => Samples::F32(channel(c).copied().collect()),
     };
-    let own = if plane.name == "color" { "" } else { plane.name };
+    let own = if plane.name == "color" { "" } else { &*plane.name };
     let name = spec.map_or(own.to_owned(), |spec| spec.name.clone());
     Layer { name, channels: names.iter().enumerate().map(|(c, n)| (*n, samples(c))).collect() }
 }

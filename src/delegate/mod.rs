@@ -4,7 +4,7 @@
 mod exr;
 mod fingerprint;
 
-pub use exr::LayerSpec;
+pub use exr::{LayerSpec, xy};
 
 use crate::error::{Error, Result, Warning};
 use crate::film::{Film, Plane};

@@ -51,7 +51,7 @@ impl Film {
     pub(super) fn object_planes(&self) -> Vec<Plane> {
         let id = |prim: i32| self.object_ids.get(prim as usize).copied().unwrap_or(0.0);
         let layer = |(l, name): (usize, &&'static str)| {
-            self.plane(name, 4, |tile, i| {
+            self.plane(*name, 4, |tile, i| {
                 let ranks = tile.objects[i].ranks(id);
                 let share = |n: u32| n as f32 / tile.samples[i].max(1) as f32;
                 let rank = |k: usize| ranks.get(k).map_or([0.0; 2], |&(id, n)| [id, share(n)]);
@@ -130,7 +130,7 @@ mod tests {
             film.tiles[0].lock().unwrap().add(0, &Sample { first, ..Sample::BLACK });
         }
         let planes = film.resolve();
-        let names: Vec<_> = planes.iter().map(|plane| plane.name).collect();
+        let names: Vec<_> = planes.iter().map(|plane| plane.name.clone()).collect();
         assert_eq!(names, ["color", "cryptoObject00", "cryptoObject01", "cryptoObject02"]);
         assert_eq!(planes[1].values, [id("/C"), 0.5, id("/A"), 0.25]);
         assert_eq!(planes[2].values, [0.0; 4]);

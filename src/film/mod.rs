@@ -10,11 +10,11 @@ pub use walks::FirstWalk;
 
 use crate::camera::{DataWindow, View};
 use crate::error::{Error, Result};
-use crate::flat::GUIDE_AOVS;
+use crate::flat::{GUIDE_AOVS, PRIMVAR_AOV};
 use crate::math::Rgb;
 use bytemuck::{Pod, Zeroable};
 use cryptomatte::ObjectSums;
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Vec2, Vec3};
 use std::sync::Mutex;
 use walks::WalkSums;
 
@@ -35,6 +35,8 @@ struct Planes {
     pub walks: bool,
     /// Coverage of a pixel by objects.
     pub objects: bool,
+    /// How many primvars of the first surface.
+    pub primvars: usize,
 }
 
 impl Planes {
@@ -48,6 +50,7 @@ impl Planes {
             variance: has(&["variance"]),
             walks: has(&GUIDE_AOVS),
             objects: has(&["cryptoObject"]),
+            primvars: names.iter().filter(|name| name.starts_with(PRIMVAR_AOV)).count(),
         }
     }
 }
@@ -84,6 +87,16 @@ pub struct Sample {
     pub alpha: f32,
     pub albedo: Rgb,
     pub first: FirstHit,
+    /// Where that is; `None`: nothing was hit.
+    pub surface: Option<OnSurface>,
+}
+
+/// A point of a surface as geometry has it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct OnSurface {
+    pub instance: u32,
+    pub triangle: u32,
+    pub barycentric: Vec2,
 }
 
 impl Sample {
@@ -94,6 +107,7 @@ impl Sample {
         alpha: 0.0,
         albedo: Rgb::ZERO,
         first: FirstHit::NONE,
+        surface: None,
     };
 
     pub fn color(&self) -> Rgb {
@@ -117,6 +131,8 @@ pub struct Tile {
     first: Vec<FirstHit>,
     walks: Vec<WalkSums>,
     objects: Vec<ObjectSums>,
+    /// By pixel, then by primvar.
+    primvars: Vec<Vec3>,
 }
 
 impl Tile {
@@ -137,6 +153,7 @@ impl Tile {
             first: vec![FirstHit::NONE; on(planes.geometry)],
             walks: vec![WalkSums::NONE; on(planes.walks)],
             objects: vec![ObjectSums::NONE; on(planes.objects)],
+            primvars: vec![Vec3::ZERO; n * planes.primvars],
         }
     }
 
@@ -163,6 +180,12 @@ impl Tile {
         if let Some(objects) = self.objects.get_mut(i) {
             objects.add(sample.first.prim_id);
         }
+    }
+
+    /// Adds primvars of the first surface of a sample of pixel `i`, in the order of their AOVs.
+    pub fn add_primvars(&mut self, i: usize, values: impl ExactSizeIterator<Item = Vec3>) {
+        let first = i * values.len();
+        self.primvars[first..].iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
     }
 
     /// Adds the first walk behind the camera ray of a sample of pixel `i`, whose first surface is at `depth`.
@@ -193,7 +216,8 @@ fn check_memory(data_window: DataWindow, planes: Planes) -> Result<()> {
         + on(planes.albedo, size_of::<Rgb>())
         + on(planes.geometry, size_of::<FirstHit>())
         + on(planes.walks, size_of::<WalkSums>())
-        + on(planes.objects, size_of::<ObjectSums>());
+        + on(planes.objects, size_of::<ObjectSums>())
+        + planes.primvars * size_of::<Vec3>();
     let (width, height) = (data_window.width(), data_window.height());
     let bytes = width as usize * height as usize * per_pixel;
     Vec::<u8>::new().try_reserve_exact(bytes).map_err(|_| {
@@ -346,7 +370,7 @@ mod tests {
         assert_eq!((at("depth", 0), at("direct", 1), at("subsurface", 1)), (3.0, 10.0, 0.0));
         assert_eq!(at("variance", 4), 4.0); // exposure^2 (population variance 1) / (n - 1)
         assert_eq!(
-            planes.iter().map(|p| p.name).collect::<Vec<_>>(),
+            planes.iter().map(|p| &*p.name).collect::<Vec<_>>(),
             ["color", "depth", "direct", "subsurface", "variance"]
         );
         assert_eq!(film.samples_per_pixel(), 2.0);

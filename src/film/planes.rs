@@ -1,13 +1,15 @@
 //! The film's sums as images: one plane per AOV.
 
 use super::{Film, NO_DEPTH, Tile};
+use crate::flat::PRIMVAR_AOV;
 use crate::math::Rgb;
 use glam::{DVec3, Vec3};
+use std::borrow::Cow;
 
 /// A resolved AOV: `channels` interleaved, rows top down, over the data window.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plane {
-    pub name: &'static str,
+    pub name: Cow<'static, str>,
     pub channels: usize,
     pub values: Vec<f32>,
 }
@@ -50,11 +52,22 @@ impl Film {
             planes.extend(self.walk_planes());
         }
         planes.push(self.plane("sampleCount", 1, |t, i| [t.samples[i] as f32, 0.0, 0.0, 0.0]));
-        planes.retain(|plane| plane.name == "color" || self.aovs.iter().any(|aov| aov == plane.name));
+        planes.retain(|plane| plane.name == "color" || self.aovs.iter().any(|aov| *aov == plane.name));
+        planes.extend(self.primvar_planes());
         if self.planes.objects {
             planes.extend(self.object_planes());
         }
         planes
+    }
+
+    fn primvar_planes(&self) -> Vec<Plane> {
+        let names: Vec<&String> = self.aovs.iter().filter(|aov| aov.starts_with(PRIMVAR_AOV)).collect();
+        let plane = |(k, name): (usize, &&String)| {
+            self.plane((*name).clone(), 3, |t, i| {
+                (t.primvars[i * names.len() + k] / t.samples[i].max(1) as f32).extend(0.0).to_array()
+            })
+        };
+        names.iter().enumerate().map(plane).collect()
     }
 
     fn geometry_planes(&self) -> Vec<Plane> {
@@ -80,7 +93,12 @@ impl Film {
         planes
     }
 
-    pub(super) fn plane(&self, name: &'static str, channels: usize, value: impl Fn(&Tile, usize) -> [f32; 4]) -> Plane {
+    pub(super) fn plane(
+        &self,
+        name: impl Into<Cow<'static, str>>,
+        channels: usize,
+        value: impl Fn(&Tile, usize) -> [f32; 4],
+    ) -> Plane {
         let width = self.data_window.width() as usize;
         let mut values = vec![0.0; width * self.data_window.height() as usize * channels];
         self.for_each_tile(|tile| {
@@ -91,6 +109,6 @@ impl Film {
                 values[at..at + channels].copy_from_slice(&value(tile, i)[..channels]);
             }
         });
-        Plane { name, channels, values }
+        Plane { name: name.into(), channels, values }
     }
 }

@@ -29,7 +29,8 @@ impl Tile {
         to.array(&self.albedo)?;
         to.array(&self.first)?;
         to.array(&self.walks)?;
-        to.array(&self.objects)
+        to.array(&self.objects)?;
+        to.array(&self.primvars)
     }
 
     fn load(&mut self, from: &mut Loader) -> io::Result<()> {
@@ -41,6 +42,7 @@ impl Tile {
         from.array(&mut self.albedo)?;
         from.array(&mut self.first)?;
         from.array(&mut self.walks)?;
-        from.array(&mut self.objects)
+        from.array(&mut self.objects)?;
+        from.array(&mut self.primvars)
     }
 }

@@ -126,7 +126,7 @@ mod tests {
         [(2.0, walk), (1.0, across), (3.0, classical)].iter().for_each(|(depth, walk)| tile.add_walk(0, *depth, walk));
         drop(tile);
         let planes = film.resolve();
-        assert_eq!(planes.iter().skip(1).map(|p| p.name).collect::<Vec<_>>(), GUIDE_AOVS);
+        assert_eq!(planes.iter().skip(1).map(|p| p.name.clone()).collect::<Vec<_>>(), GUIDE_AOVS);
         let of = |name: &str| planes.iter().find(|p| p.name == name).expect("asked for").values.clone();
         let third = 1.0 / 3.0;
         assert_eq!(of("slabNormal"), [third, 0.0, third, 0.0, 0.0, 0.0]);

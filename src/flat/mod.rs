@@ -21,7 +21,7 @@ pub use mesh::{
     SubdivTags, Texels, Texture,
 };
 pub use network::{ImageNode, Network, Node, Op, Tile, Wrap};
-pub use settings::{AOVS, EXTRA_AOVS, GUIDE_AOVS, MAX_NORMALS, RenderSettings, WALKS};
+pub use settings::{AOVS, EXTRA_AOVS, GUIDE_AOVS, MAX_NORMALS, PRIMVAR_AOV, RenderSettings, WALKS};
 
 use serde::{Deserialize, Serialize};
 

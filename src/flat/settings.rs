@@ -14,6 +14,9 @@ pub const EXTRA_AOVS: [&str; 6] = ["distance", "deviceDepth", "Peye", "Neye", "s
 pub const GUIDE_AOVS: [&str; 6] =
     ["slabNormal", "entryAgreement", "walkLength", "region", "cacheIrradiance", "techniqueShares"];
 
+/// Prefix of AOVs that show a primvar.
+pub const PRIMVAR_AOV: &str = "primvars:";
+
 /// Guided walks of the literature, the mixture of them, and the choice between it and `classical`.
 pub const WALKS: [&str; 8] = ["auto", "classical", "poe", "cp", "ii", "bono", "bill", "mixture"];
 
@@ -83,9 +86,13 @@ pub struct RenderSettings {
     /// Megabytes for the images of materials: where they are more, they are in scratch files and read as they are looked
     /// at. 0: no bound.
     pub texture_memory: u32,
+    /// What all colours are in, lights' and materials' included: usd-core's name of a linear space. The bridge brings them
+    /// there; what is rendered does not depend on the name.
+    pub rendering_color_space: String,
     /// Camera rays see area lights.
     pub lights_visible_to_camera: bool,
-    /// AOVs beside the beauty, each one of [`AOVS`], [`EXTRA_AOVS`] or [`GUIDE_AOVS`]; all of the first by default.
+    /// AOVs beside the beauty, each one of [`AOVS`], [`EXTRA_AOVS`] or [`GUIDE_AOVS`], or a primvar of the first surface
+    /// ([`PRIMVAR_AOV`] and its name); all of the first by default.
     pub aovs: Vec<String>,
 }
 
@@ -121,6 +128,7 @@ impl Default for RenderSettings {
             cache_resolution: 0,
             subsurface_boundary: "auto".into(),
             texture_memory: 4096,
+            rendering_color_space: "lin_rec709_scene".into(),
             lights_visible_to_camera: false,
             aovs: AOVS.map(String::from).to_vec(),
         }

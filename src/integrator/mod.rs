@@ -16,7 +16,7 @@ pub use probe::probe;
 
 use crate::bsdf::{Boundary, BsdfSample, Event, Side, Surface};
 use crate::camera::CameraRay;
-use crate::film::{FirstHit, Sample};
+use crate::film::{FirstHit, OnSurface, Sample};
 use crate::guiding::{Guide, LightsAt};
 use crate::interaction::Interaction;
 use crate::math::{Rgb, mean};
@@ -366,6 +366,8 @@ impl Path<'_> {
             position: (si.p.as_dvec3() + scene.camera.origin).as_vec3(),
             prim_id: scene.instances[si.instance as usize].prim_id,
         };
+        let surface = OnSurface { instance: si.instance, triangle: si.triangle, barycentric: si.barycentric };
+        self.sample.surface = Some(surface);
     }
 
     fn add(&mut self, light: Rgb) {

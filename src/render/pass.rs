@@ -3,7 +3,7 @@
 
 use super::{Run, locked};
 use crate::film::{Film, Tile};
-use crate::flat::RenderSettings;
+use crate::flat::{PRIMVAR_AOV, RenderSettings};
 use crate::guiding::Guide;
 use crate::guiding::statistics::Statistics;
 use crate::integrator::{PathSettings, PathStats, WalkLog, trace};
@@ -165,6 +165,7 @@ fn render_tile(
     let path =
         PathSettings { max_depth: settings.max_depth, lights_visible_to_camera: settings.lights_visible_to_camera };
     let lens = scene.camera.has_depth_of_field();
+    let primvars: Vec<&str> = settings.aovs.iter().filter_map(|aov| aov.strip_prefix(PRIMVAR_AOV)).collect();
     for i in 0..(tile.width * tile.height) as usize {
         let (x, y) = (tile.x0 + (i as u32 % tile.width) as i32, tile.y0 + (i as u32 / tile.width) as i32);
         // A crop renders the pixels of the whole.
@@ -177,6 +178,9 @@ fn render_tile(
             let ray = scene.camera.ray(raster, u_lens);
             let sample = trace(scene, guide, path, ray, &mut sampler, &mut stats, &mut log);
             tile.add(i, &sample);
+            if let Some(surface) = sample.surface.filter(|_| !primvars.is_empty()) {
+                tile.add_primvars(i, primvars.iter().map(|name| scene.primvar_at(&surface, name)));
+            }
             if let Some(walk) = log.first.take() {
                 tile.add_walk(i, sample.first.depth, &walk);
             }

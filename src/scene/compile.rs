@@ -7,7 +7,7 @@ use super::{Coating, Driven, Geometry, Instance, InstancePrimvars, Interior, Nee
 use crate::bsdf::{self, Boundary, InteriorAlbedo, OfMesh, Surface};
 use crate::camera::Camera;
 use crate::error::{Error, Result, Warning};
-use crate::flat::{self, AnyPrimvar, FlatScene, LightShape};
+use crate::flat::{self, AnyPrimvar, FlatScene, LightShape, PRIMVAR_AOV};
 use crate::light::{Categories, Lights, Members};
 use crate::math::{Affine, Rgb};
 use crate::medium::Medium;
@@ -79,6 +79,7 @@ pub fn compile(flat: &FlatScene, kept: &mut Kept, warnings: &mut Vec<Warning>) -
     let members = builder.link(&mut instances, &mut lights);
     let has_ruled_meshes = lights.ruled().any(|light| lights.is_mesh(light));
     builder.count(&camera, &instances, &lights);
+    builder.note_missing_primvars(&instances);
     let (surfaces, needs) = (builder.surfaces, builder.needs);
     kept.surfaces = builder.known;
 
@@ -240,15 +241,30 @@ impl Builder<'_> {
         }
     }
 
-    /// Those of its instancer; `None` where no material of the mesh reads primvars.
+    /// Those of its instancer; `None` where neither a material of the mesh nor an AOV reads one.
     fn instance_primvars(&self, mesh: &flat::Mesh) -> Option<Arc<InstancePrimvars>> {
         let instancer = self.flat.instancers.get(&mesh.instancer).filter(|i| !i.primvars.is_empty())?;
         let worn = std::iter::once(&mesh.material).chain(mesh.geom_subsets.iter().map(|subset| &subset.material));
         let networks = worn.filter_map(|name| Some(self.flat.materials.get(name)?.network()));
-        let read: BTreeSet<&String> = networks.flat_map(|network| network.primvars()).collect();
-        let chosen = instancer.primvars.iter().filter(|(name, _)| read.contains(name));
+        let mut read: BTreeSet<&str> = networks.flat_map(|network| network.primvars()).map(String::as_str).collect();
+        read.extend(self.flat.settings.aovs.iter().filter_map(|aov| aov.strip_prefix(PRIMVAR_AOV)));
+        let chosen = instancer.primvars.iter().filter(|(name, _)| read.contains(name.as_str()));
         let primvars: InstancePrimvars = chosen.map(|(name, primvar)| (name.clone(), lanes(primvar))).collect();
         (!primvars.is_empty()).then(|| Arc::new(primvars))
+    }
+
+    /// AOVs of primvars that nothing has are black.
+    fn note_missing_primvars(&mut self, instances: &[Instance]) {
+        let has = |name: &str| {
+            let of_instance =
+                |i: &Instance| i.primvars.as_ref().is_some_and(|(primvars, _)| primvars.contains_key(name));
+            instances.iter().any(|i| i.geometry.primvars.contains_key(name) || of_instance(i))
+        };
+        let asked =
+            self.flat.settings.aovs.iter().filter(|aov| aov.strip_prefix(PRIMVAR_AOV).is_some_and(|name| !has(name)));
+        let said =
+            asked.map(|aov| Warning::new("render settings", format!("aovs: {aov}: no mesh has it; it is black")));
+        self.warnings.extend(said);
     }
 
     /// Where a mesh stands, as which instance, and the colour that an instancer gives it there.

@@ -21,6 +21,7 @@ pub use paged::{Residency, release};
 
 use crate::bsdf::{Boundary, Side, Surface};
 use crate::camera::Camera;
+use crate::film::OnSurface;
 use crate::interaction::{Interaction, shading_normal};
 use crate::light::{Lights, Members, ShapeHit};
 use crate::math::{Affine, Frame};
@@ -274,6 +275,19 @@ impl Scene {
                 Some(color) => Some(color.at(hit.triangle as usize, corners, hit.u, hit.v)),
             },
         }
+    }
+
+    /// A primvar at a point, its first three numbers; zero where there is none, or materials and AOVs do not ask for it.
+    pub fn primvar_at(&self, at: &OnSurface, name: &str) -> Vec3 {
+        let instance = &self.instances[at.instance as usize];
+        let geometry = &instance.geometry;
+        let of_instance = instance.primvars.as_ref().and_then(|(primvars, i)| primvars.get(name)?.get(*i as usize));
+        if let Some(value) = of_instance.filter(|value| !value.x.is_nan()) {
+            return value.truncate();
+        }
+        let (triangle, uv) = (at.triangle as usize, at.barycentric);
+        let value = |values: &geometry::Values| values.at(triangle, geometry.triangles[triangle], uv.x, uv.y);
+        geometry.primvars.get(name).map_or(Vec3::ZERO, |values| value(values).truncate())
     }
 
     /// The coating at `si`, whose shading normal it may bend. `width`: of the ray's footprint across the ray.

@@ -15,4 +15,7 @@ AOVS = (
 
 GUIDE_AOVS = ("slabNormal", "entryAgreement", "walkLength", "region", "cacheIrradiance", "techniqueShares")
 
+PRIMVAR = "primvars:"
+"""Before the name of a primvar of the first surface."""
+
 EXTRA_AOVS = ("distance", "deviceDepth", "Peye", "Neye", "sampleCount", "cryptoObject")

@@ -5,6 +5,7 @@ The EXR is the truth and is never transformed; what this module makes is for eye
 
 import os
 from collections.abc import Iterable
+from copy import copy
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,8 @@ import PyOpenColorIO as ocio
 from numpy.typing import NDArray
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
+
+from .colorspace import REC709, transformed
 
 #: The configuration without `$OCIO`: by its full name, for `ocio://default` changes with the library.
 BUILTIN_CONFIG = "cg-config-v4.0.0_aces-v2.0_ocio-v2.5"
@@ -52,6 +55,7 @@ class DisplayTransform:
         self, mode: str = "openColorIO", config: str = "", display: str = "", view: str = "", look: str = ""
     ) -> None:
         self.mode = mode
+        self.space = REC709
         self.config_name = self.display = self.view = ""
         if mode == "openColorIO":
             self._processor = self._build(config, display, view, look)
@@ -75,9 +79,15 @@ class DisplayTransform:
                 f"OpenColorIO cannot show {self.display!r}, view {self.view!r}: {error}"
             ) from error
 
+    def showing(self, space: str) -> "DisplayTransform":
+        """The same for colours in another linear space of usd-core."""
+        other = copy(self)
+        other.space = space
+        return other
+
     def apply(self, rgb: NDArray[np.floating]) -> NDArray[np.float32]:
         """Display values of `rgb` (any shape ending in 3); a copy, in [0, 1]. What is not finite becomes black."""
-        pixels = np.array(rgb, dtype=np.float32, order="C")
+        pixels = np.array(transformed(np.asarray(rgb, np.float32), self.space, REC709), np.float32, order="C")
         pixels[~np.isfinite(pixels).all(axis=-1)] = 0.0
         if self.mode == "openColorIO":
             self._processor.applyRGB(pixels)

@@ -129,6 +129,8 @@ def read_primvar(
     if components == 1 and np.ndim(value) == 0 and value is not None and not isinstance(value, str):
         value = [value]
     values = reader.as_array(prim, name, value, np.float32, components)
+    if values is not None:
+        values = reader.colors.of(primvar.GetAttr(), values)
     return fitting(prim, name, primvar.GetInterpolation(), values, spline, reader)
 
 

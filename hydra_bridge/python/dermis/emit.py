@@ -189,6 +189,8 @@ class Emitter:
                     if node["node"] == "primvar":
                         plain = not any(node["fallback"])
                         names[node["varname"]] = key if plain else names.get(node["varname"], "")
+        for name in self.reader.shown:
+            names.setdefault(name, "")
         # Where instances have a value, a mesh without one is nothing to be said.
         for name in self.prims.get(mesh["instancer"], {}).get("primvars", ()):
             if name in names:

@@ -47,7 +47,12 @@ class Graph:
         if self.is_output(source):
             return self.output(source)
         value = source.Get(self.reader.time)
-        return default if value is None else number(value, shader_input.GetBaseName())
+        if value is None:
+            return default
+        constant_value = number(value, shader_input.GetBaseName())
+        if constant_value.width < 3:
+            return constant_value
+        return constant(self.reader.colored(source, constant_value.numbers()))
 
     def output(self, attribute: Usd.Attribute) -> Value:
         """What a node's output gives. Raises Unsupported."""

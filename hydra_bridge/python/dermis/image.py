@@ -77,7 +77,13 @@ def render(
         delegate = core.load(str(stage_or_path))
     else:
         stage = stage_or_path if isinstance(stage_or_path, Usd.Stage) else open_stage(stage_or_path)
-        options = Options(purposes, enable_dome_light_visibility, camera=settings.get("camera", ""))
+        options = Options(
+            purposes,
+            enable_dome_light_visibility,
+            camera=settings.get("camera", ""),
+            rendering_color_space=settings.get("renderingColorSpace", ""),
+            aovs=tuple(settings.get("aovs", ())),
+        )
         flat = flatten(stage, time, options)
         ensure_camera(stage, time, flat, settings)
         delegate = core()

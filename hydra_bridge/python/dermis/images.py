@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from pxr import Ar, Usd, UsdShade
 
 from .color import ColorError, linear_rec709, open_config
+from .colorspace import REC709, transformed
 from .reading import Reader
-from .texture import RAW_SPACES, SRGB_SPACES, TextureError, stamp, to_rec709
+from .texture import RAW_SPACES, SRGB_SPACES, TextureError, srgb_to_linear, stamp, to_rec709
 
 Fields = dict[str, Any]
 
@@ -78,8 +79,11 @@ def add_image(
         except ColorError as error:
             reader.warn(node, f"{name}: color space '{space}': {error}; 'raw' is used")
             space = "raw"
-    key = f"@{path}@{space}"
-    images[key] = {"type": "Image", "file": path, "space": space, "stamp": list(modified)}
+    key, rendering = f"@{path}@{space}", reader.colors.rendering
+    fields = {"type": "Image", "file": path, "space": space, "stamp": list(modified)}
+    if rendering != REC709:
+        key, fields["rendering"] = f"{key}@{rendering}", rendering
+    images[key] = fields
     return key
 
 
@@ -150,10 +154,14 @@ def bits_of(spec: Any) -> str:
 def load_image(fields: Fields) -> Fields:
     """The prim that the core takes, decoded; `fault` says why there are no texels."""
     path, space = fields["file"], fields["space"]
-    plain = {"type": "Image", "file": os.path.basename(path) or path, "srgb": space == "sRGB"}
+    rendering = fields.get("rendering", REC709)
+    encoded = space == "sRGB" and rendering == REC709
+    plain = {"type": "Image", "file": os.path.basename(path) or path, "srgb": encoded}
     try:
-        values, bits = read_texels(path)
-        if space not in ("sRGB", "raw"):
+        values, bits, colorful = read_texels(path)
+        if rendering != REC709 and (space != "raw" or colorful):
+            values, bits = rendered(values, space, rendering), "float" if bits == "float" else "half"
+        elif space not in ("sRGB", "raw"):
             values, bits = converted(values, space), "float" if bits == "float" else "half"
     except (TextureError, ColorError) as error:
         return {**plain, "fault": str(error)}
@@ -165,8 +173,21 @@ def load_image(fields: Fields) -> Fields:
     return {**plain, "width": width, "height": height, "channels": channels, "texels": texels}
 
 
-def read_texels(path: str) -> tuple[NDArray, str]:
-    """(rows from the top, columns, channels 1 to 4) in the format of the file, and its name."""
+def rendered(values: NDArray, space: str, rendering: str) -> NDArray:
+    """Colours in a space (`raw`: linear Rec.709) as they are rendered; grey stays grey, and alpha alpha."""
+    scale = {np.dtype(np.uint8): 255.0, np.dtype(np.uint16): 65535.0}.get(values.dtype, 1.0)
+    values = values.astype(np.float32) / np.float32(scale)
+    if space == "sRGB":
+        colors = 1 if values.shape[2] < 3 else 3
+        values[..., :colors] = srgb_to_linear(values[..., :colors])
+    elif space != "raw":
+        values = converted(values, space)
+    return transformed(values, REC709, rendering) if values.shape[2] > 2 else values
+
+
+def read_texels(path: str) -> tuple[NDArray, str, bool]:
+    """(rows from the top, columns, channels 1 to 4) in the format of the file, its name, and whether it names its
+    primaries, which are Rec.709's here."""
     import OpenImageIO as oiio
 
     formats = {"u8": oiio.UINT8, "u16": oiio.UINT16, "half": oiio.HALF, "float": oiio.FLOAT}
@@ -178,10 +199,11 @@ def read_texels(path: str) -> tuple[NDArray, str]:
             raise TextureError(f"it cannot be read ({image.geterror().strip()})")
         chromaticities = spec.getattribute("chromaticities")
     values = np.asarray(values).reshape(spec.height, spec.width, -1)
-    if bits in ("half", "float") and chromaticities is not None and values.shape[2] > 2:
+    colorful = bits in ("half", "float") and chromaticities is not None and values.shape[2] > 2
+    if colorful:
         values = values.astype(np.float32)
         values[..., :3] = to_rec709(values[..., :3], chromaticities)
-    return values, bits
+    return values, bits, colorful
 
 
 @lru_cache(maxsize=16)

@@ -81,6 +81,7 @@ def instance_primvars(
             reader.warn(prim, f"primvars:{name}: {found} for {count} instances; it is ignored")
             continue
         values = values.reshape(len(values), -1)[:count, :4].astype(np.float32)
+        values = reader.colors.of(primvar.GetAttr(), values)
         yield name, np.ascontiguousarray(np.where(np.isfinite(values).all(axis=1)[:, None], values, np.nan))
 
 

@@ -47,11 +47,11 @@ def emission(prim: Usd.Prim, kind: str, reader: Reader) -> Fields:
     return {
         "intensity": reader.value(prim, "inputs:intensity", 50000.0 if kind == "DistantLight" else 1.0),
         "exposure": reader.value(prim, "inputs:exposure", 0.0),
-        "color": list(reader.value(prim, "inputs:color", (1.0, 1.0, 1.0))),
+        "color": list(reader.color(prim, "inputs:color", (1.0, 1.0, 1.0))),
         "normalize": reader.value(prim, "inputs:normalize", False),
         "enableColorTemperature": reader.value(prim, "inputs:enableColorTemperature", False),
         "colorTemperature": temperature,
-        "blackbody": [float(x) for x in UsdLux.BlackbodyTemperatureAsRgb(temperature)],
+        "blackbody": list(reader.colors.from_rec709(UsdLux.BlackbodyTemperatureAsRgb(temperature))),
     }
 
 
@@ -69,7 +69,7 @@ def shaping(prim: Usd.Prim, reader: Reader) -> Fields | None:
         )
     return {
         "focus": reader.value(prim, "inputs:shaping:focus", 0.0),
-        "focusTint": list(reader.value(prim, "inputs:shaping:focusTint", (0.0, 0.0, 0.0))),
+        "focusTint": list(reader.color(prim, "inputs:shaping:focusTint", (0.0, 0.0, 0.0))),
         "coneAngle": reader.value(prim, "inputs:shaping:cone:angle", 90.0),
         "coneSoftness": reader.value(prim, "inputs:shaping:cone:softness", 0.0),
     }
@@ -87,7 +87,7 @@ def shadow(prim: Usd.Prim, reader: Reader) -> Fields | None:
         )
     return {
         "enable": reader.value(prim, "inputs:shadow:enable", True),
-        "color": list(reader.value(prim, "inputs:shadow:color", (0.0, 0.0, 0.0))),
+        "color": list(reader.color(prim, "inputs:shadow:color", (0.0, 0.0, 0.0))),
         "distance": distance,
         "falloff": falloff,
         "falloffGamma": reader.value(prim, "inputs:shadow:falloffGamma", 1.0),

@@ -128,6 +128,9 @@ def set_input(fields: Fields, graph: Graph, shader_input: UsdShade.Input, defaul
         value = source.Get(reader.time)
         if value is not None:
             value = reader.coerced(source.GetPrim(), source.GetName(), value, default)
+            if isinstance(value, tuple) and "radius" not in name.lower():
+                # Mean free paths are colours by type alone.
+                value = reader.colored(source, value)
             fields[name] = list(value) if isinstance(value, tuple) else value
         return
     try:

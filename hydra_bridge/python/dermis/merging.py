@@ -21,6 +21,7 @@ NEAREST = ("depth", "normal", "position", "primId", "distance", "deviceDepth", "
 #: Of them, those that tell how near it is, the best first.
 DEPTHS = ("depth", "distance", "deviceDepth")
 COUNT = "sampleCount"
+COLOR_ATTRIBUTES = ("chromaticities", "colorInteropID")
 VARIANCE = "variance"
 CRYPTO = "cryptoObject"
 
@@ -83,8 +84,12 @@ def read_part(file: str) -> Part:
             raise MergeError(f"{file}: it cannot be read ({image.geterror().strip()})")
         channels[name] = values.reshape(spec.height, spec.width)
     attributes = {
-        a.name: a.value for a in spec.extra_attribs if a.name.startswith(("dermis", "cryptomatte/"))
+        a.name: a.value
+        for a in spec.extra_attribs
+        if a.name.startswith(("dermis", "cryptomatte/")) or a.name in COLOR_ATTRIBUTES
     }
+    if "chromaticities" in attributes:
+        attributes["chromaticities"] = [float(x) for x in attributes["chromaticities"]]
     image.close()
     if "dermis:fingerprint" not in attributes:
         raise MergeError(f"{file}: it is not of `dermis record`, or of a version before `dermis merge`")

@@ -250,6 +250,8 @@ def flatten_primvar(
         # A constant may be one value instead of an array of one.
         value = [value]
     values = reader.as_array(prim, name, value, np.float32, components)
+    if values is not None:
+        values = reader.colors.of(primvar.GetAttr(), values)
     indices = reader.as_array(prim, f"{name}:indices", indices_of(primvar, reader), np.int32, 1)
     return checked(prim, name, primvar.GetInterpolation(), values, indices, mesh, reader)
 

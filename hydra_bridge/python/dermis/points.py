@@ -91,6 +91,7 @@ def display_colors(
         values = per_point(prim, name, primvar.GetInterpolation(), values, count, reader)
         if values is None:
             continue
+        values = reader.colors.of(primvar.GetAttr(), values)
         if len(values) == 1 or components == 1:
             if len(values) > 1 and np.ptp(values) > 0.0:
                 reader.warn(prim, f"primvars:{name}: of points with different ones the first is used")

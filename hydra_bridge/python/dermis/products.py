@@ -6,7 +6,7 @@ from typing import Any
 
 from pxr import Usd, UsdRender
 
-from .aovs import AOVS, EXTRA_AOVS, GUIDE_AOVS
+from .aovs import AOVS, EXTRA_AOVS, GUIDE_AOVS, PRIMVAR
 from .reading import Reader
 
 BEAUTY = "color"
@@ -89,9 +89,21 @@ def product_layers(product: Usd.Prim, reader: Reader) -> list[dict[str, Any]]:
         if name in taken:
             reader.warn(var, f"orderedVars: a var named '{name}' is there already; this one is not written")
             continue
-        half = bool(HALF.search(reader.value(var, "dataType", "color3f")))
-        layers.append({"name": name, "aov": aov, "half": half})
+        kind = reader.value(var, "dataType", "color3f")
+        layer: dict[str, Any] = {"name": name, "aov": aov, "half": bool(HALF.search(kind))}
+        if aov.startswith(PRIMVAR):
+            layer["channels"] = channels_of(kind)
+        layers.append(layer)
     return layers
+
+
+def channels_of(kind: str) -> str:
+    """Channels of a primvar by `dataType`."""
+    if kind.startswith("color"):
+        return "RGB"
+    if kind in ("float", "half", "double", "int", "bool", "uchar"):
+        return "Y"
+    return "XY" if re.search(r"2[fhd]?$", kind) else "XYZ"
 
 
 def product_aovs(layers: list[dict[str, Any]]) -> list[str]:
@@ -106,8 +118,7 @@ def source_aov(var: Usd.Prim, reader: Reader) -> str | None:
     if kind == "lpe" or source.startswith("lpe:"):
         return lpe_aov(var, source.removeprefix("lpe:"), reader)
     if kind == "primvar" or source.startswith("primvars:"):
-        reader.warn(var, f"sourceName: primvars are no AOVs in this version; '{source}' is not written")
-        return None
+        return PRIMVAR + source.removeprefix(PRIMVAR)
     if kind not in ("raw", "intrinsic"):
         reader.warn(var, f"sourceType: '{kind}' is not known; it is taken as 'raw'")
     name = RAW_SOURCES.get(source) or RAW_SOURCES.get(var.GetName())

@@ -2,12 +2,14 @@
 attribute."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pxr import Sdf, Tf, Usd, Vt
+
+from .colorspace import Colors
 
 FLOAT32_MAX = float(np.finfo(np.float32).max)
 
@@ -32,8 +34,16 @@ class Reader:
     def __init__(self, time: Usd.TimeCode, report: Report) -> None:
         self.time = time
         self.report = report
-        #: Primvars that materials read.
+        self.colors = Colors()
+        #: Primvars that materials read, or AOVs show.
         self.primvars: tuple[str, ...] = ()
+        #: Those of AOVs.
+        self.shown: tuple[str, ...] = ()
+
+    def show(self, names: Iterable[str]) -> None:
+        """Primvars that AOVs show are read of every prim that has them."""
+        self.shown = tuple(sorted(set(names)))
+        self.primvars = tuple(sorted({*self.primvars, *self.shown}))
 
     def warn(self, prim: str | Usd.Prim, message: str) -> None:
         self.report.warn(prim, message)
@@ -41,6 +51,17 @@ class Reader:
     def value(self, prim: Usd.Prim, name: str, default: Any) -> Any:
         """The attribute as the type of `default` (bool, int, float, str or tuple of float); finite always."""
         return self.coerced(prim, name, self.raw(prim, name), default)
+
+    def color(self, prim: Usd.Prim, name: str, default: tuple[float, ...]) -> tuple[float, ...]:
+        """A colour in the space that is rendered in."""
+        value, attribute = self.value(prim, name, default), prim.GetAttribute(name)
+        return self.colored(attribute, value) if attribute else value
+
+    def colored(self, attribute: Usd.Attribute, value: tuple[float, ...]) -> tuple[float, ...]:
+        """A value of an attribute in the space that is rendered in; the same where it is no colour."""
+        array = np.asarray(value, np.float64)
+        changed = self.colors.of(attribute, array)
+        return value if changed is array else tuple(float(x) for x in changed)
 
     def raw(self, prim: Usd.Prim, name: str) -> Any:
         """The attribute's value at the time, or None where there is none."""

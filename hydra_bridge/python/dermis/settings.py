@@ -4,6 +4,7 @@ from typing import Any
 
 from pxr import Sdf, Usd, UsdRender
 
+from .colorspace import REC709, linear_name
 from .products import product_aovs, product_layers, related_products
 from .reading import Reader
 
@@ -63,6 +64,8 @@ def flatten_settings(prim: Usd.Prim, reader: Reader) -> dict[str, Any]:
     for source in (prim, *products[:1]):
         settings.update(base_settings(source, reader))
     settings.update(dermis_settings(prim, reader))
+    if reader.colors.rendering != REC709:
+        settings["renderingColorSpace"] = reader.colors.rendering
     if products and products[0].GetRelationship("orderedVars").GetForwardedTargets():
         settings["aovs"] = product_aovs(product_layers(products[0], reader))
     return settings
@@ -86,10 +89,19 @@ def base_settings(prim: Usd.Prim, reader: Reader) -> dict[str, Any]:
         reader.warn(prim, f"aspectRatioConformPolicy: '{policy}' is not supported; 'expandAperture' is used")
     elif authored(prim, "aspectRatioConformPolicy"):
         settings["aspectRatioConformPolicy"] = policy
-    space = reader.value(prim, "renderingColorSpace", "")
-    if space not in ("", "lin_rec709", "lin_rec709_scene"):
-        reader.warn(prim, f"renderingColorSpace: '{space}' is not supported; linear Rec.709 is used")
     return settings
+
+
+def rendering_color_space(prim: Usd.Prim | None, reader: Reader, chosen: str = "") -> str:
+    """usd-core's name of the linear space of all colours of a render: the `chosen` one, else that of the settings."""
+    name = chosen or (reader.value(prim, "renderingColorSpace", "") if prim else "")
+    space = linear_name(name) if name else REC709
+    if space is None:
+        reader.warn(
+            "render settings" if chosen or not prim else prim,
+            f"renderingColorSpace: '{name}' is no linear space of usd-core; linear Rec.709 is used",
+        )
+    return space or REC709
 
 
 def resolution(prim: Usd.Prim, reader: Reader) -> list[int] | None:

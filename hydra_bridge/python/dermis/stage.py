@@ -11,14 +11,22 @@ from typing import Any
 import numpy as np
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade
 
+from .aovs import PRIMVAR
 from .camera import auto_camera, camera_fields, find_camera
+from .colorspace import Colors
 from .emit import Emitter
 from .graph import primvars_read
 from .images import load_image
 from .material import flatten_material
 from .products import Product, flatten_products
 from .reading import Reader, Report, usd_words
-from .settings import binding_purposes, find_settings, flatten_settings, included_purposes
+from .settings import (
+    binding_purposes,
+    find_settings,
+    flatten_settings,
+    included_purposes,
+    rendering_color_space,
+)
 from .walk import Walk
 
 __all__ = [
@@ -51,6 +59,8 @@ class Options:
     purposes: rendered besides `default`; None: `includedPurposes` of the render settings, else `render`.
     enable_dome_light_visibility: camera rays see dome lights that do not say otherwise themselves.
     render_settings: path of a RenderSettings prim; empty: the one named by the stage's metadata, if any.
+    rendering_color_space: that of all colours; empty: `renderingColorSpace` of the render settings.
+    aovs: whose primvars are read beside those of the render settings.
     camera: path of a camera to include although the walk may not reach it (inactive purpose, inside an
     instance).
     """
@@ -59,6 +69,8 @@ class Options:
     enable_dome_light_visibility: bool = False
     render_settings: str = ""
     camera: str = ""
+    rendering_color_space: str = ""
+    aovs: tuple[str, ...] = ()
 
 
 @dataclass
@@ -113,11 +125,15 @@ def flatten(
     reader.primvars = tuple(sorted(primvars_read(stage) | {"st"}))
     warn_composition(stage, reader.report)
     settings = find_settings(stage, options.render_settings, reader)
+    reader.colors = Colors(rendering_color_space(settings, reader, options.rendering_color_space))
     purposes = included_purposes(settings, reader) if options.purposes is None else options.purposes
     flat = FlatStage(stage=stage_info(stage, time, reader), purposes=tuple(sorted({"default", *purposes})))
     if settings:
         flat.settings = flatten_settings(settings, reader)
         flat.products = flatten_products(settings, reader)
+    shown = [*options.aovs, *flat.settings.get("aovs", ())]
+    shown += [layer["aov"] for product in flat.products for layer in product.layers or ()]
+    reader.show(aov.removeprefix(PRIMVAR) for aov in shown if aov.startswith(PRIMVAR))
     binding = binding_purposes(settings, reader)
     walk = Walk(stage, reader, flat.purposes, binding)
     emitter = Emitter(reader, binding, options.enable_dome_light_visibility, walk.links)
@@ -136,6 +152,7 @@ def flatten_prim(
     reader = Reader(first_time(prim.GetStage()) if time is None else Usd.TimeCode(time), Report())
     reader.primvars = tuple(sorted(primvars_read(prim.GetStage()) | {"st"}))
     settings = find_settings(prim.GetStage(), options.render_settings, reader)
+    reader.colors = Colors(rendering_color_space(settings, reader, options.rendering_color_space))
     purposes = included_purposes(settings, reader) if options.purposes is None else options.purposes
     binding = binding_purposes(settings, reader)
     flat = FlatStage(purposes=tuple(sorted({"default", *purposes})))

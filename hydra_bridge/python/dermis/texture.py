@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Ar, Usd
 
+from .colorspace import REC709 as REC709_NAME
+from .colorspace import transformed
 from .reading import Reader
 
 RAW_SPACES = ("raw", "linear", "lin_rec709", "lin_rec709_scene", "Linear", "data")
@@ -44,7 +46,12 @@ def flatten_texture(prim: Usd.Prim, name: str, reader: Reader, textures: dict[st
         return ""
     for note in notes:
         reader.warn(prim, f"{name}: {asset.path}: {note}")
+    rendering = reader.colors.rendering
     key = f"@{path}@" if space == "auto" else f"@{path}@{space}"
+    if rendering != REC709_NAME:
+        # Of a smaller gamut some are negative, which no light is.
+        key = f"{key}{rendering}"
+        pixels = np.maximum(transformed(pixels, REC709_NAME, rendering), 0.0)
     textures[key] = {"type": "Texture", "file": path, "width": width, "height": height, "pixels": pixels}
     return key
 

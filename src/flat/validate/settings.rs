@@ -2,7 +2,7 @@
 
 use crate::{
     error::{Error, Result},
-    flat::{AOVS, EXTRA_AOVS, GUIDE_AOVS, MAX_NORMALS, RenderSettings, WALKS},
+    flat::{AOVS, EXTRA_AOVS, GUIDE_AOVS, MAX_NORMALS, PRIMVAR_AOV, RenderSettings, WALKS},
     subdivision::MAX_LEVEL,
 };
 
@@ -97,7 +97,8 @@ impl RenderSettings {
         check_token("cacheFill", &self.cache_fill, &["surface", "camera"])?;
         check_token("subsurfaceBoundary", &self.subsurface_boundary, &BOUNDARIES)?;
         let known = [&AOVS[..], &EXTRA_AOVS[..], &GUIDE_AOVS[..]].concat();
-        self.aovs.iter().try_for_each(|aov| check_token("aovs", aov, &known))
+        let named = |aov: &str| aov.strip_prefix(PRIMVAR_AOV).is_some_and(|name| !name.is_empty());
+        self.aovs.iter().filter(|aov| !named(aov)).try_for_each(|aov| check_token("aovs", aov, &known))
     }
 }
 

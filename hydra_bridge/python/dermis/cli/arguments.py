@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from .. import color
-from ..aovs import AOVS, EXTRA_AOVS, GUIDE_AOVS
+from ..aovs import AOVS, EXTRA_AOVS, GUIDE_AOVS, PRIMVAR
 from . import progress
 from .settings import COMPLEXITIES
 
@@ -18,6 +18,15 @@ PURPOSES = ("default", "render", "proxy", "guide")
 IMAGE_EXTENSIONS = (".exr", *color.EXTENSIONS)
 
 Number = TypeVar("Number", int, float)
+
+
+class AovNames(tuple[str, ...]):
+    """Those that there are, and any primvar."""
+
+    def __contains__(self, name: object) -> bool:
+        return super().__contains__(name) or (
+            isinstance(name, str) and name.startswith(PRIMVAR) and name != PRIMVAR
+        )
 
 
 def add_stage_arguments(parser: argparse.ArgumentParser) -> None:
@@ -182,10 +191,11 @@ def add_sampling_arguments(parser: argparse.ArgumentParser) -> None:
         "--aov",
         dest="aovs",
         action="append",
-        choices=(*AOVS, *EXTRA_AOVS, *GUIDE_AOVS),
+        choices=AovNames((*AOVS, *EXTRA_AOVS, *GUIDE_AOVS)),
         metavar="NAME",
         help=f"AOV to write (repeatable): {', '.join(AOVS)} (default: the stage's RenderVars, else all of these); only "
-        f"where asked for: {', '.join(EXTRA_AOVS)}; for looking at guided walks: {', '.join(GUIDE_AOVS)}",
+        f"where asked for: {', '.join(EXTRA_AOVS)}; primvars:NAME of any primvar; for looking at "
+        f"guided walks: {', '.join(GUIDE_AOVS)}",
     )
     group.add_argument(
         "--set",

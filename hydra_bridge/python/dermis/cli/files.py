@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from dermis import color
+from dermis.colorspace import REC709, chromaticities, linear_name
 
 from . import output
 
@@ -22,14 +23,29 @@ class Writer:
         """The layers of an output as `file`, by its ending."""
         if Path(file).suffix.lower() == ".exr":
             layers = None if made.layers is None else json.dumps(made.layers)
-            delegate.write_exr(file, json.dumps(attributes), layers)
+            delegate.write_exr(
+                file, json.dumps({**attributes, **color_attributes(space_of(delegate))}), layers
+            )
         else:
             self.write_display(delegate, file, attributes.get("dermis.complete") != "false")
 
     def write_display(self, delegate: Any, file: str, complete: bool) -> None:
         pixels = delegate.snapshot()["color"]
         with output.replacing(file) as temporary:
-            color.write_display_image(temporary, pixels, self.transform, "" if complete else INCOMPLETE)
+            transform = self.transform.showing(space_of(delegate))
+            color.write_display_image(temporary, pixels, transform, "" if complete else INCOMPLETE)
+
+
+def space_of(delegate: Any) -> str:
+    """The linear space that colours were rendered in."""
+    return linear_name(json.loads(delegate.settings())["renderingColorSpace"]) or REC709
+
+
+def color_attributes(space: str) -> dict[str, Any]:
+    """What the header of an EXR says of its colours; of Rec.709 it does without."""
+    if space == REC709:
+        return {}
+    return {"chromaticities": chromaticities(space), "colorInteropID": space}
 
 
 def snapshot_name(file: str) -> str:

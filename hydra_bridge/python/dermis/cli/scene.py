@@ -83,6 +83,11 @@ class FlatFile:
         size = view.image_size(self.args, self.typed, kept, width / height)
         shown = "" if loaded.camera == AUTO_CAMERA else loaded.camera
         settings = {**stored, **self.typed, "camera": loaded.camera, "resolution": size}
+        space = stored["renderingColorSpace"]
+        if settings["renderingColorSpace"] != space:
+            message = f"renderingColorSpace: its colours are in {space} already, which is used; flatten the stage again"
+            loaded.warnings.append((self.args.usdFilePath, message))
+            settings["renderingColorSpace"] = space
         settings["dataWindowNDC"] = view.tile_window(self.args, settings["dataWindowNDC"])
         delegate.set_settings(json.dumps(settings))
         loaded.views = [View(settings, outputs or [])]
@@ -161,7 +166,13 @@ class Stage:
         return loaded
 
     def _options(self) -> stage.Options:
-        return stage.Options(self.purposes, self.args.enableDomeLightVisibility, self.settings_path)
+        return stage.Options(
+            self.purposes,
+            self.args.enableDomeLightVisibility,
+            self.settings_path,
+            rendering_color_space=self.typed.get("renderingColorSpace", ""),
+            aovs=tuple(self.typed.get("aovs", ())),
+        )
 
     def _purposes(self) -> tuple[str, ...] | None:
         """Typed, else (None) those that the settings prim authors, else usdrecord's default."""
@@ -213,8 +224,10 @@ class Stage:
         """What the RenderSettings prim says for all products: `authored` is that with the first product over it."""
         prim = self._settings_prim()
         reader = Reader(when, Report())
-        shared = {**base_settings(prim, reader), **dermis_settings(prim, reader)} if prim else authored
-        return shared
+        if not prim:
+            return authored
+        space = {name: authored[name] for name in ("renderingColorSpace",) if name in authored}
+        return {**base_settings(prim, reader), **dermis_settings(prim, reader), **space}
 
     def _find_camera(self, authored: str, loaded: Loaded) -> UsdGeom.Camera | None:
         """Typed, else of the settings prim, else `main_cam`; None when there is none of them."""
