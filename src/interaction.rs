@@ -17,6 +17,8 @@ pub struct Interaction {
     /// Unit, towards where the path came from.
     pub wo: Vec3,
     pub side: Side,
+    /// On a strand of hair: light comes from all around.
+    pub strand: bool,
     pub instance: u32,
     pub triangle: u32,
     /// Barycentrics on it: (1 - x - y, x, y).
@@ -34,6 +36,11 @@ impl Interaction {
     pub fn origin(&self, w: Vec3) -> Vec3 {
         let side = if w.dot(self.ng) >= 0.0 { self.error } else { -self.error };
         self.p + self.ng * side
+    }
+
+    /// Normal of the half space that light comes from; `None`: from everywhere.
+    pub fn horizon(&self) -> Option<Vec3> {
+        (!self.strand).then_some(self.ng)
     }
 
     pub fn local(&self, w: Vec3) -> Vec3 {

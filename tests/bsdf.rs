@@ -1,7 +1,7 @@
 //! Surfaces against statistics and closed forms: sampling, pdfs, energy, reciprocity, and agreement of shaders.
 
 use dermis::bsdf::{Boundary, Bsdf, Event, InteriorAlbedo, Side, Surface};
-use dermis::flat::{Material, OpenPbrSurface, PreviewSurface, StandardSurface};
+use dermis::flat::{ChiangHair, Material, OpenPbrSurface, PreviewSurface, StandardSurface};
 use dermis::math::{Rgb, TAU};
 use dermis::sampling::sampler::Sampler;
 use glam::{Vec2, Vec3};
@@ -209,6 +209,25 @@ fn check_sampling(name: &str, bsdf: &Bsdf) {
 #[test]
 fn opaque_mixtures_sample_their_pdf() {
     for (name, surface) in opaque_surfaces() {
+        for mu in [0.97, 0.4, 0.06] {
+            check_sampling(&format!("{name} {mu}"), &surface.bsdf(direction(mu), Side::Outside));
+        }
+    }
+}
+
+#[test]
+fn strands_sample_their_pdf() {
+    let rough = ChiangHair {
+        tint_trt: [0.9, 1.2, 0.4],
+        cuticle_angle: 0.53,
+        absorption_coefficient: [0.1, 0.3, 0.9],
+        roughness_r: [0.02, 0.3],
+        ..Default::default()
+    };
+    let fur =
+        ChiangHair { roughness_tt: [0.4, 0.8], roughness_trt: [2.0, 0.15], ior: 1.3, opacity: 0.7, ..rough.clone() };
+    for (name, m) in [("hair", rough), ("fur", fur)] {
+        let surface = compile(Material::Hair(m), None);
         for mu in [0.97, 0.4, 0.06] {
             check_sampling(&format!("{name} {mu}"), &surface.bsdf(direction(mu), Side::Outside));
         }

@@ -4,6 +4,7 @@ use super::dielectric::Dielectric;
 use super::diffuse::Diffuse;
 use super::fresnel::Fresnel;
 use super::ggx::Glossy;
+use super::hair::Strand;
 use super::{BsdfSample, Event};
 use crate::math::{FRAC_1_PI, Rgb};
 use crate::sampling::{cosine_hemisphere, cosine_hemisphere_pdf};
@@ -22,6 +23,7 @@ pub enum Lobe {
     Mirror(Fresnel),
     /// A dielectric boundary, rough or smooth.
     Interface(Dielectric),
+    Strand(Strand),
     /// Lambertian entry into a medium with `Boundary::Diffuse`.
     Subsurface,
     /// Lambertian exit from one.
@@ -36,7 +38,7 @@ impl Lobe {
     /// True where `eval` and `pdf` are 0 although light passes: single directions, and the entry into a walk.
     pub fn is_delta(&self) -> bool {
         match self {
-            Self::Diffuse(_) | Self::StormDiffuse { .. } | Self::Glossy(_) | Self::Exit => false,
+            Self::Diffuse(_) | Self::StormDiffuse { .. } | Self::Glossy(_) | Self::Strand(_) | Self::Exit => false,
             Self::Interface(interface) => interface.is_smooth(),
             Self::Mirror(_) | Self::Subsurface | Self::IndexMatched | Self::PassThrough => true,
         }
@@ -52,6 +54,7 @@ impl Lobe {
             }
             Self::Glossy(glossy) => glossy.eval(wo, wi),
             Self::Interface(interface) => interface.eval(wo, wi),
+            Self::Strand(strand) => Rgb::splat(strand.pdf(wi)),
             Self::Exit => Rgb::splat(cosine_hemisphere_pdf(-wi.z)),
             Self::Mirror(_) | Self::Subsurface | Self::IndexMatched | Self::PassThrough => Rgb::ZERO,
         }
@@ -63,6 +66,7 @@ impl Lobe {
             Self::Diffuse(_) | Self::StormDiffuse { .. } => cosine_hemisphere_pdf(wi.z),
             Self::Glossy(glossy) => glossy.pdf(wo, wi),
             Self::Interface(interface) => interface.pdf(wo, wi),
+            Self::Strand(strand) => strand.pdf(wi),
             Self::Exit => cosine_hemisphere_pdf(-wi.z),
             Self::Mirror(_) | Self::Subsurface | Self::IndexMatched | Self::PassThrough => 0.0,
         }
@@ -74,6 +78,7 @@ impl Lobe {
             Self::Diffuse(_) | Self::StormDiffuse { .. } => Some(cosine_hemisphere(u)),
             Self::Glossy(glossy) => glossy.sample(wo, u),
             Self::Interface(interface) => interface.sample(wo, u_choice, u),
+            Self::Strand(strand) => Some(strand.sample(u_choice, u)),
             Self::Exit => Some(-cosine_hemisphere(u)),
             Self::Mirror(_) | Self::Subsurface | Self::IndexMatched | Self::PassThrough => None,
         }
@@ -96,7 +101,7 @@ impl Lobe {
             }
             Self::IndexMatched => sample(-wo, Rgb::ONE, 1.0, Event::Transmit),
             Self::PassThrough => sample(-wo, Rgb::ONE, 1.0, Event::PassThrough),
-            Self::Diffuse(_) | Self::StormDiffuse { .. } | Self::Glossy(_) | Self::Exit => None,
+            Self::Diffuse(_) | Self::StormDiffuse { .. } | Self::Glossy(_) | Self::Strand(_) | Self::Exit => None,
         }
     }
 }

@@ -13,6 +13,7 @@ mod dielectric;
 mod diffuse;
 pub mod fresnel;
 mod ggx;
+mod hair;
 mod interior;
 mod layered;
 mod lobe;
@@ -46,6 +47,8 @@ pub enum Event {
     Transmit,
     /// Lambertian entry into a medium with `Boundary::Diffuse`: the walk starts below.
     EnterSubsurface,
+    /// By a strand of hair, to any side of it; nothing is crossed.
+    Scatter,
     /// Straight through where the surface is absent (opacity): same direction, nothing crossed.
     PassThrough,
 }
@@ -160,7 +163,11 @@ impl Bsdf {
         let local = chosen.lobe.sample(self.wo, u_choice, u)?;
         let wi = local * self.turn;
         let (f, pdf) = (self.eval(wi), self.pdf(wi));
-        let event = if local.z > 0.0 { Event::Reflect } else { Event::Transmit };
+        let event = match chosen.lobe {
+            Lobe::Strand(_) => Event::Scatter,
+            _ if local.z > 0.0 => Event::Reflect,
+            _ => Event::Transmit,
+        };
         // Grazing facets can round to density 0, or overflow: nothing to carry on with.
         (pdf > 0.0 && pdf.is_finite()).then_some(BsdfSample { wi, f, pdf, event, delta: false })
     }

@@ -3,6 +3,7 @@
 use super::albedo::Curve;
 use super::check::Check;
 use super::curves::{Curves, Key};
+use super::hair::{self, Hair};
 use super::interior::{Boundary, Interior};
 use super::layered::Layered;
 use super::lobe::Lobe;
@@ -42,6 +43,7 @@ pub enum Base {
     /// UsdPreviewSurface without a medium.
     Storm(Storm),
     Layered(Layered),
+    Hair(Hair),
 }
 
 /// A compiled material. Constants only; copying it is two kilobytes, so it is passed by reference.
@@ -119,6 +121,7 @@ impl Surface {
             }
             Material::OpenPbr(m) => openpbr::compile(m, boundary_override, curves, check),
             Material::StandardSurface(m) => standard::compile(m, boundary_override, curves, check),
+            Material::Hair(m) => hair::compile(m, check),
         }
     }
 
@@ -151,6 +154,7 @@ impl Surface {
         let base = match &self.base {
             Base::Storm(storm) => storm.transparency(mu),
             Base::Layered(layered) => layered.transparency(mu),
+            Base::Hair(_) => Rgb::ZERO,
         };
         let coat = self.coat.map_or(Rgb::ONE, |coat| coat.below(mu));
         Rgb::splat(1.0 - self.presence) + self.presence * coat * base
@@ -169,6 +173,10 @@ impl Surface {
             Some(interior) if side == Side::Inside => self.inside(wo, interior),
             _ => self.outside(wo),
         }
+    }
+
+    pub fn is_hair(&self) -> bool {
+        matches!(self.base, Base::Hair(_))
     }
 
     /// Index of the inside / index of the outside and tint of a boundary that refracts into single directions.
@@ -190,6 +198,7 @@ impl Surface {
         match &self.base {
             Base::Storm(storm) => storm.push(&mut bsdf, weight),
             Base::Layered(layered) => layered.push(&mut bsdf, weight),
+            Base::Hair(hair) => hair.push(&mut bsdf, weight),
         }
         bsdf.normalized()
     }

@@ -14,6 +14,8 @@ pub enum Material {
     OpenPbr(OpenPbrSurface),
     #[serde(rename = "ND_standard_surface_surfaceshader")]
     StandardSurface(StandardSurface),
+    #[serde(rename = "ND_chiang_hair_bsdf")]
+    Hair(ChiangHair),
 }
 
 impl Material {
@@ -23,6 +25,7 @@ impl Material {
             Self::UsdPreviewSurface(m) => &m.network,
             Self::OpenPbr(m) => &m.network,
             Self::StandardSurface(m) => &m.network,
+            Self::Hair(m) => &m.network,
         }
     }
 
@@ -32,6 +35,7 @@ impl Material {
             Self::UsdPreviewSurface(m) => &m.displacement,
             Self::OpenPbr(m) => &m.displacement,
             Self::StandardSurface(m) => &m.displacement,
+            Self::Hair(m) => &m.displacement,
         }
     }
 
@@ -41,6 +45,7 @@ impl Material {
             Self::UsdPreviewSurface(m) => [&mut m.network, &mut m.displacement],
             Self::OpenPbr(m) => [&mut m.network, &mut m.displacement],
             Self::StandardSurface(m) => [&mut m.network, &mut m.displacement],
+            Self::Hair(m) => [&mut m.network, &mut m.displacement],
         }
     }
 }
@@ -249,6 +254,54 @@ impl Default for StandardSurface {
             emission: 0.0,
             emission_color: [1.0; 3],
             opacity: [1.0; 3],
+            network: Network::default(),
+            displacement: Network::default(),
+        }
+    }
+}
+
+/// MaterialX 1.39 `chiang_hair_bsdf` behind a `surface`, whose opacity is the last. Roughness is (longitudinal variance,
+/// azimuthal scale), as `chiang_hair_roughness` gives it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct ChiangHair {
+    #[serde(rename = "tint_R")]
+    pub tint_r: [f32; 3],
+    #[serde(rename = "tint_TT")]
+    pub tint_tt: [f32; 3],
+    #[serde(rename = "tint_TRT")]
+    pub tint_trt: [f32; 3],
+    pub ior: f32,
+    #[serde(rename = "roughness_R")]
+    pub roughness_r: [f32; 2],
+    #[serde(rename = "roughness_TT")]
+    pub roughness_tt: [f32; 2],
+    #[serde(rename = "roughness_TRT")]
+    pub roughness_trt: [f32; 2],
+    /// Tilt of the scales: 0 to 1 is -90 to 90 degrees, above 0.5 towards the root.
+    pub cuticle_angle: f32,
+    /// Per radius of the strand.
+    pub absorption_coefficient: [f32; 3],
+    pub opacity: f32,
+    #[serde(skip_serializing_if = "Network::is_empty")]
+    pub network: Network,
+    #[serde(skip_serializing_if = "Network::is_empty")]
+    pub displacement: Network,
+}
+
+impl Default for ChiangHair {
+    fn default() -> Self {
+        Self {
+            tint_r: [1.0; 3],
+            tint_tt: [1.0; 3],
+            tint_trt: [1.0; 3],
+            ior: 1.55,
+            roughness_r: [0.1; 2],
+            roughness_tt: [0.05; 2],
+            roughness_trt: [0.2; 2],
+            cuticle_angle: 0.5,
+            absorption_coefficient: [0.0; 3],
+            opacity: 1.0,
             network: Network::default(),
             displacement: Network::default(),
         }

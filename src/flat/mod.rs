@@ -15,7 +15,7 @@ pub mod validate;
 pub use array::Array;
 pub use camera::{Camera, Projection};
 pub use light::{Light, LightShape, Shadow, Shaping};
-pub use material::{Material, OpenPbrSurface, PreviewSurface, StandardSurface};
+pub use material::{ChiangHair, Material, OpenPbrSurface, PreviewSurface, StandardSurface};
 pub use mesh::{
     AnyPrimvar, GeomSubset, IDENTITY, Image, Instancer, Interpolation, Matrix4d, Mesh, Orientation, Prims, Primvar,
     SubdivTags, Texels, Texture,

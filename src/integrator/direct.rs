@@ -144,7 +144,7 @@ impl Path<'_> {
             return;
         }
         let (all, choice) = (&self.scene.lights, self.guide.choice(lights));
-        let (count, n) = (choice.count(), Some(si.ng));
+        let (count, n) = (choice.count(), si.horizon());
         // A sample's points on a light are a lattice (Roberts' R2), shifted by its stratified first.
         let lattice = |first: Vec2, i: u32| (first + i as f32 * R2).fract();
         if let Choice::Drawn { .. } = choice {
@@ -180,7 +180,8 @@ impl Path<'_> {
         let wi = si.local(light.wi);
         let f = bsdf.eval(wi);
         // Towards the outside only, and shading and geometric normal must agree which side that is.
-        if f == Rgb::ZERO || light.radiance == Rgb::ZERO || light.wi.dot(si.ng) <= 0.0 || wi.z <= 0.0 {
+        let hidden = si.horizon().is_some_and(|n| light.wi.dot(n) <= 0.0 || wi.z <= 0.0);
+        if f == Rgb::ZERO || light.radiance == Rgb::ZERO || hidden {
             return;
         }
         if !self.scene.illuminates(light.light, si.instance) {

@@ -249,6 +249,10 @@ impl Path<'_> {
                 self.bounce(si, wi, chosen.delta, chosen.pdf, lights)?;
                 self.roulette(sampler)
             }
+            Event::Scatter => {
+                self.bounce(si, wi, chosen.delta, chosen.pdf, lights)?;
+                self.roulette(sampler)
+            }
             Event::Transmit => {
                 (wi.dot(si.ng) * outside_sign(si.side) < 0.0).then_some(())?;
                 self.transmit(hit, si, coating, wi, chosen.delta, chosen.pdf, lights, sampler)
@@ -296,7 +300,7 @@ impl Path<'_> {
     /// Sets up the next segment along `wi`, sampled at `si`.
     fn bounce(&mut self, si: &Interaction, wi: Vec3, delta: bool, pdf: f32, lights: LightsAt) -> Option<()> {
         self.previous =
-            if delta { Previous::Delta } else { Previous::Sampled { p: si.p, n: Some(si.ng), pdf, lights } };
+            if delta { Previous::Delta } else { Previous::Sampled { p: si.p, n: si.horizon(), pdf, lights } };
         (self.receiver, self.drawn) = (si.instance, true);
         if !delta {
             self.cone.scattered(pdf);

@@ -327,6 +327,11 @@ impl Builder<'_> {
         let prim = if material.is_empty() { path } else { material };
         let standard = flat::Material::default();
         let described = self.flat.materials.get(material).unwrap_or(&standard);
+        if matches!(described, flat::Material::Hair(_)) && geometry.strands.is_none() {
+            let message = format!("material:binding: {material} is for curves; displayColor is used");
+            self.warnings.push(Warning::new(path, message));
+            return self.coating(path, geometry, "", display_color, display_opacity);
+        }
         let boundary_override = boundary_named(&self.flat.settings.subsurface_boundary);
         let of_mesh = OfMesh { display_color, display_opacity, boundary_override };
         let driven = Driven::compile(described, geometry, of_mesh, self.images, prim, self.warnings);
@@ -421,6 +426,7 @@ impl Builder<'_> {
         needs.aovs = self.flat.settings.aovs.clone();
         for coating in &self.surfaces {
             let driven = coating.driven.as_deref();
+            needs.hair_surfaces += u32::from(coating.surface.is_hair());
             needs.driven_surfaces += u32::from(driven.is_some());
             needs.transparency |= !coating.surface.is_opaque() || driven.is_some_and(Driven::opacity);
             let Some(interior) = coating.interior else { continue };

@@ -6,7 +6,7 @@ use super::network::{Lookup, Program};
 use super::{Coating, Geometry, Instance};
 use crate::bsdf::{NotedCurves, OfMesh, Surface};
 use crate::error::Warning;
-use crate::flat::{Material, Network, OpenPbrSurface, PreviewSurface, StandardSurface};
+use crate::flat::{ChiangHair, Material, Network, OpenPbrSurface, PreviewSurface, StandardSurface};
 use glam::{Vec2, Vec3, Vec4};
 use std::borrow::Cow;
 
@@ -33,6 +33,12 @@ trait FromLanes {
 impl FromLanes for f32 {
     fn from_lanes(lanes: Vec4) -> Self {
         lanes.x
+    }
+}
+
+impl FromLanes for [f32; 2] {
+    fn from_lanes(lanes: Vec4) -> Self {
+        [lanes.x, lanes.y]
     }
 }
 
@@ -94,6 +100,10 @@ fn setter(material: &Material, name: &str) -> Option<Set> {
             "subsurface_scale" subsurface_scale, "subsurface_anisotropy" subsurface_anisotropy, "coat" coat,
             "coat_color" coat_color, "coat_roughness" coat_roughness, "coat_IOR" coat_ior, "emission" emission,
             "emission_color" emission_color, "opacity" opacity),
+        Material::Hair(_) => setters!(Hair, name;
+            "tint_R" tint_r, "tint_TT" tint_tt, "tint_TRT" tint_trt, "ior" ior, "roughness_R" roughness_r,
+            "roughness_TT" roughness_tt, "roughness_TRT" roughness_trt, "cuticle_angle" cuticle_angle,
+            "absorption_coefficient" absorption_coefficient, "opacity" opacity),
     })
 }
 
@@ -278,5 +288,8 @@ fn interned(material: &Material) -> Material {
             displacement: Network::default(),
             ..m.clone()
         }),
+        Material::Hair(m) => {
+            Material::Hair(ChiangHair { network: Network::default(), displacement: Network::default(), ..m.clone() })
+        }
     }
 }

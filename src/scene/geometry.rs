@@ -3,6 +3,7 @@
 use super::accel::Blas;
 use super::displace::{Displacement, Surface};
 use super::image::ImageCache;
+use super::strands::Strands;
 use crate::flat::{self, AnyPrimvar, Interpolation, Orientation, Primvar, array::Element};
 use crate::subdivision::{self, Refinement};
 use glam::{DVec3, Vec2, Vec3, Vec4};
@@ -44,7 +45,7 @@ impl<T: Copy + std::ops::Mul<f32, Output = T> + std::ops::Add<Output = T>> Attri
     }
 
     /// Bytes beside the value itself.
-    fn memory(&self) -> usize {
+    pub(super) fn memory(&self) -> usize {
         match self {
             Attribute::Constant(_) => 0,
             Attribute::Point(values) | Attribute::Triangle(values) => size_of_val(values.as_slice()),
@@ -112,6 +113,8 @@ pub struct Geometry {
     pub display_opacity: f32,
     /// Those that materials read.
     pub primvars: BTreeMap<String, Values>,
+    /// Of curves in a hair material.
+    pub strands: Option<Box<Strands>>,
     /// Material slot per triangle: 0 the mesh's own, i the (i-1)th GeomSubset; `None`: all 0.
     pub slots: Option<Vec<u16>>,
     /// `None`: not a subdivision surface.
@@ -160,8 +163,9 @@ impl Geometry {
     ) -> Self {
         let soup = triangulate(mesh);
         let slots = slots(mesh, &soup.faces);
-        let primvars =
+        let mut primvars: BTreeMap<String, Values> =
             mesh.primvars.iter().map(|(name, primvar)| (name.clone(), Values::new(primvar, &soup))).collect();
+        let strands = Strands::take(&mut primvars).map(Box::new);
         let mut not_displaced = 0;
         let mut normals = match (&mesh.normals, mesh.subdivision_scheme.as_str()) {
             (Some(normals), "none") => Some(attribute(normals, &soup, Vec3::from)),
@@ -181,12 +185,15 @@ impl Geometry {
             let moved = displacement.apply(&surface, images);
             (points, normals, not_displaced) = (moved.points, moved.normals, moved.not_finite);
         }
+        let blas = Blas::build(&points, &soup.triangles);
+        let closed = strands.as_ref().is_some_and(|strands| !strands.ribbons);
         Self {
-            blas: Blas::build(&points, &soup.triangles),
+            blas: if closed { blas.one_sided() } else { blas },
             normals,
             display_color: mesh.display_color.as_ref().map(|c| attribute(c, &soup, Vec3::from)),
             display_opacity: mesh.display_opacity.as_ref().and_then(|o| o.values.first().copied()).unwrap_or(1.0),
             primvars,
+            strands,
             slots,
             points,
             triangles: soup.triangles,
@@ -225,9 +232,10 @@ impl Geometry {
     pub fn memory(&self) -> usize {
         let attributes = [&self.normals, &self.display_color].into_iter().flatten().map(Attribute::memory);
         let primvars = self.primvars.values().map(Values::memory).sum::<usize>();
+        let strands = self.strands.as_ref().map_or(0, |strands| strands.memory());
         let slots = self.slots.as_ref().map_or(0, |slots| size_of_val(slots.as_slice()));
         let indexed = size_of_val(self.points.as_slice()) + size_of_val(self.triangles.as_slice());
-        indexed + self.blas.memory() + attributes.sum::<usize>() + primvars + slots
+        indexed + self.blas.memory() + attributes.sum::<usize>() + primvars + strands + slots
     }
 
     /// Edges (between points welded by position) that do not join faces in pairs: what keeps the mesh from

@@ -10,6 +10,7 @@ mod image;
 mod needs;
 mod network;
 mod paged;
+mod strands;
 
 pub use compile::{CompileStats, Kept, compile};
 pub use driven::Driven;
@@ -241,6 +242,7 @@ impl Scene {
         let [a, b, c] = geometry.corners(hit.triangle);
         let local = a * (1.0 - hit.u - hit.v) + b * hit.u + c * hit.v;
         let m = &instance.to_render;
+        let at = Vec2::new(hit.u, hit.v);
         let front_normal = m.normal((b - a).cross(c - a)).normalize_or(-d);
         let front = front_normal.dot(d) <= 0.0;
         let outward = matches!(side, Side::Outside) == front;
@@ -261,12 +263,16 @@ impl Scene {
             p: m.point(local),
             error: 4.0 * f32::EPSILON * extent.max_element(),
             ng,
-            frame: Frame::from_normal(ns),
+            frame: match &geometry.strands {
+                None => Frame::from_normal(ns),
+                Some(strands) => strands.frame(m, hit.triangle as usize, corners, at, wo),
+            },
             wo,
             side,
+            strand: geometry.strands.is_some(),
             instance: hit.instance,
             triangle: hit.triangle,
-            barycentric: Vec2::new(hit.u, hit.v),
+            barycentric: at,
             surface: instance.surfaces + geometry.slot(hit.triangle) as u32,
             front,
             display_color: match &geometry.display_color {

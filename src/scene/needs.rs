@@ -31,6 +31,8 @@ pub struct Needs {
     pub texture_memory: u32,
     /// Surfaces with inputs that are driven: compiled anew at every point.
     pub driven_surfaces: u32,
+    /// Surfaces of curves that scatter as strands.
+    pub hair_surfaces: u32,
     /// Media by boundary.
     pub diffuse_media: u32,
     pub dielectric_media: u32,
@@ -165,6 +167,12 @@ impl Needs {
                 self.driven_surfaces > 0,
                 count(self.driven_surfaces, "surfaces with inputs that images, primvars or nodes drive"),
                 "every input of every surface is a constant",
+            ),
+            line(
+                "hair",
+                self.hair_surfaces > 0,
+                count(self.hair_surfaces, "surfaces of curves scatter as strands"),
+                "no hair material on curves",
             ),
             line(
                 "depth of field",

@@ -183,6 +183,43 @@ AOVS = ("--set", "aovs=alpha,depth,normal,position,albedo,primId,direct,indirect
 WALK_AOVS = ("--set", "aovs=slabNormal,entryAgreement,walkLength,region,cacheIrradiance,techniqueShares")
 PALE = (0.9, 0.8, 0.7)
 
+HAIR = """
+    def Material "Hair"
+    {
+        token outputs:mtlx:surface.connect = </World/Hair/Surface.outputs:out>
+        def Shader "Surface"
+        {
+            uniform token info:id = "ND_surface"
+            token inputs:bsdf.connect = </World/Hair/Strand.outputs:out>
+            token outputs:out
+        }
+        def Shader "Strand"
+        {
+            uniform token info:id = "ND_chiang_hair_bsdf"
+            float3 inputs:absorption_coefficient = (0.2, 0.4, 0.8)
+            token outputs:out
+        }
+    }
+"""
+
+
+def strand(look: str, lines: str = "") -> str:
+    """A curve across the ball."""
+    return f"""
+    def BasisCurves "Strand" (prepend apiSchemas = ["MaterialBindingAPI"])
+    {{
+        uniform token type = "linear"
+        int[] curveVertexCounts = [2]
+        point3f[] points = [(-2, -1, 1.2), (2, 1, 1.2)]
+        float[] widths = [0.4] (
+            interpolation = "constant"
+        )
+        rel material:binding = <{look}>
+        {lines}
+    }}
+"""
+
+
 CAPABILITIES = (
     Capability(
         "subsurface walk",
@@ -385,6 +422,21 @@ CAPABILITIES = (
             replace(PLAIN, ball=COLORED, look=DRIVEN),
             replace(PLAIN, ball=COLORED),
             "an opaque ball with the primvar",
+        ),
+    ),
+    Capability(
+        "hair",
+        Compared(
+            "hair on what is not rendered",
+            lit(HAIR, strand("/World/Hair", INVISIBLE)),
+            lit(HAIR, strand("/World/Look", INVISIBLE)),
+            "an opaque one",
+        ),
+        Compared(
+            "a strand of hair",
+            lit(HAIR, strand("/World/Hair")),
+            lit(HAIR, strand("/World/Look")),
+            "an opaque one",
         ),
     ),
     Capability(

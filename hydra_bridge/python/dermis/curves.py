@@ -37,7 +37,19 @@ class Tessellation:
     def __init__(self, spline: Spline, samples: Samples) -> None:
         self.spline, self.samples = spline, samples
         self.surface: Surface = {}
+        self.offsets, self.is_ribbon = np.zeros((0, 3)), False
         self.point_sample = self.face_curve = np.zeros(0, np.int32)
+
+    def strands(self) -> dict[str, dict[str, Any]]:
+        """What a hair material asks for (`scene::Strands`): the direction along, and the way from the axis to each
+        point over the radius."""
+        kind = {"type": "float3", "interpolation": "vertex"}
+        offset = "dermis:ribbonOffset" if self.is_ribbon else "dermis:tubeOffset"
+        tangents = single(self.samples.tangents())
+        return {
+            "dermis:tangent": {**kind, "values": tangents, "indices": self.point_sample},
+            offset: {**kind, "values": single(self.offsets)},
+        }
 
     def primvar(self, interpolation: str, values: NDArray) -> dict[str, Any]:
         """Values on the curves as primvar of the mesh."""
@@ -189,7 +201,9 @@ def tubes(made: Tessellation, width: Floats) -> None:
         + np.sin(angle)[:, None] * np.cross(tangents, across)[:, None]
     )
     # The circumference of the polygon is that of the circle.
-    radius = 0.5 * width * (np.pi / sides) / np.sin(np.pi / sides)
+    outwards = (np.pi / sides) / np.sin(np.pi / sides)
+    radius = 0.5 * width * outwards
+    made.offsets = outwards * radial.reshape(-1, 3)
     rings = points[:, None] + radius[:, None, None] * radial
     here, there = steps(samples)
     shown = (width[here] > 0.0) | (width[there] > 0.0)
@@ -249,6 +263,7 @@ def ribbons(made: Tessellation, width: Floats, normals: Floats) -> None:
     across = unit(np.cross(tangents, normals))
     across = np.where(across.any(axis=1, keepdims=True), across, frames(points, tangents, samples))
     half = 0.5 * width[:, None] * across
+    made.offsets, made.is_ribbon = np.stack([-across, across], axis=1).reshape(-1, 3), True
     here, there = steps(samples)
     shown = (width[here] > 0.0) | (width[there] > 0.0)
     a, b = 2 * here[shown], 2 * there[shown]

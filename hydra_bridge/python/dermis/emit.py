@@ -15,6 +15,7 @@ from .material import flatten_material
 from .mesh import MESH_TYPES, flatten_mesh, flatten_read_primvars, flatten_subsets
 from .points import flatten_points
 from .reading import Reader
+from .shaders import HAIR
 from .skel import Skins
 from .walk import Found, Frame, canonical_path
 
@@ -181,8 +182,11 @@ class Emitter:
     def read_primvars(self, found: Found, mesh: Prim) -> None:
         """The primvars that the materials of a mesh read, and what they are for where they have no fallback."""
         names: dict[str, str] = {}
+        hair = False
         for key in (mesh["material"], *(subset["material"] for subset in mesh["geomSubsets"])):
-            for network in networks(self.prims.get(key, {})):
+            material = self.prims.get(key, {})
+            hair |= material.get("shader") == HAIR.name
+            for network in networks(material):
                 if network["tangents"]:
                     names.setdefault(network["tangents"], "")
                 for node in network["nodes"]:
@@ -195,9 +199,11 @@ class Emitter:
         for name in self.prims.get(mesh["instancer"], {}).get("primvars", ()):
             if name in names:
                 names[name] = ""
-        if names:
+        if names or hair:
             inherited = found.context.inherited()
-            primvars = flatten_read_primvars(found.prim, found.kind, mesh, names, self.reader, inherited)
+            primvars = flatten_read_primvars(
+                found.prim, found.kind, mesh, names, hair, self.reader, inherited
+            )
             if primvars:
                 mesh["primvars"] = primvars
 

@@ -8,7 +8,7 @@ from .displacement import flatten_displacement
 from .graph import Graph, shader_id
 from .network import Unsupported, Value, constant
 from .reading import Reader
-from .shaders import ANY, SHADERS, Shader
+from .shaders import ANY, HAIR, SHADERS, SURFACE, Shader
 
 Fields = dict[str, Any]
 
@@ -34,6 +34,8 @@ def flatten_surface(prim: Usd.Prim, reader: Reader, images: dict[str, Fields]) -
     # displayColor as diffuseColor is what an unauthored diffuseColor means, but then displayOpacity counts by itself.
     opacity = UsdShade.Shader(node).GetInput("opacity")
     left = {"diffuseColor": "displayColor"} if not reads_primvar(opacity, "displayOpacity", reader) else {}
+    if shader is HAIR:
+        node = hair_of(node, fields, graph)
     for shader_input in UsdShade.Shader(node).GetInputs():
         name = shader_input.GetBaseName()
         if name in shader.inputs:
@@ -50,6 +52,24 @@ def flatten_surface(prim: Usd.Prim, reader: Reader, images: dict[str, Fields]) -
     return fields
 
 
+def hair_of(surface: Usd.Prim, fields: Fields, graph: Graph) -> Usd.Prim:
+    """The BSDF of a MaterialX `surface`, whose own inputs are read here."""
+    for shader_input in UsdShade.Shader(surface).GetInputs():
+        name = shader_input.GetBaseName()
+        if name in SURFACE.inputs:
+            set_input(fields, graph, shader_input, SURFACE.inputs[name])
+        elif name not in SURFACE.idle:
+            warn_ignored(graph, shader_input, SURFACE)
+    node = bsdf_node(surface)
+    assert node is not None
+    return node
+
+
+def bsdf_node(surface: Usd.Prim) -> Usd.Prim | None:
+    shader_input = UsdShade.Shader(surface).GetInput("bsdf")
+    return source_node(shader_input) if shader_input else None
+
+
 def find_surface(prim: Usd.Prim, reader: Reader) -> tuple[Usd.Prim, Shader] | None:
     """The first surface shader dermis knows: MaterialX before the universal output before other renderers'
     outputs."""
@@ -57,13 +77,18 @@ def find_surface(prim: Usd.Prim, reader: Reader) -> tuple[Usd.Prim, Shader] | No
     for output in surface_outputs(UsdShade.Material(prim)):
         node = source_node(output)
         identifier = shader_id(node) if node else ""
-        if identifier in SHADERS:
+        known = SHADERS.get(identifier)
+        if identifier == SURFACE.name and node:
+            bsdf = bsdf_node(node)
+            identifier = shader_id(bsdf) if bsdf else f"{identifier} without a bsdf"
+            known = HAIR if identifier == HAIR.name else None
+        if node and known:
             if dropped:
                 reader.warn(
                     prim,
                     f"{'; '.join(dropped)}: not supported; '{identifier}' of {output.GetFullName()} is used",
                 )
-            return node, SHADERS[identifier]
+            return node, known
         dropped.append(
             f"{output.GetFullName()}: {f'shader {identifier!r}' if node else 'no shader is connected'}"
         )
@@ -80,8 +105,8 @@ def surface_outputs(material: UsdShade.Material) -> list[UsdShade.Output]:
     return [outputs[name] for name in ordered if outputs[name].HasConnectedSource()]
 
 
-def source_node(output: UsdShade.Output) -> Usd.Prim | None:
-    """The shader prim at the far end of an output, through node graphs."""
+def source_node(output: UsdShade.Output | UsdShade.Input) -> Usd.Prim | None:
+    """The shader prim at the far end of an output or an input, through node graphs."""
     for attribute in UsdShade.Utils.GetValueProducingAttributes(output):
         if attribute.GetPrim().IsA(UsdShade.Shader):
             return attribute.GetPrim()

@@ -183,11 +183,12 @@ def flatten_read_primvars(
     kind: str,
     mesh: dict[str, Any],
     names: dict[str, str],
+    hair: bool,
     reader: Reader,
     inherited: Inherited,
 ) -> dict[str, Any]:
     """`flat::Mesh::primvars` of those among `names` that the prim has; `names`: to what reads it, if a missing one is
-    to be said."""
+    to be said. `hair`: a material is one, which asks curves for more."""
     api, found = UsdGeom.PrimvarsAPI(prim), {}
     made = tessellate_curves(prim, reader) if kind == "BasisCurves" else None
     for name, user in names.items():
@@ -205,6 +206,8 @@ def flatten_read_primvars(
         elif (value := read_by(made, prim, primvar, mesh, reader)) is not None:
             components = 1 if value["values"].ndim == 1 else value["values"].shape[1]
             found[name] = {"type": "float" if components == 1 else f"float{components}", **value}
+    if made is not None and hair:
+        found |= made.strands()
     return found
 
 

@@ -48,8 +48,10 @@ Handler = Callable[[Node], Value]
 
 
 def category(identifier: str) -> str:
-    """`ND_multiply_color3FA` is a `multiply`."""
+    """`ND_multiply_color3FA` is a `multiply`; nodes of one type alone have no more than their name."""
     if identifier.startswith("ND_"):
+        if identifier[3:] in HANDLERS:
+            return identifier[3:]
         return identifier[3:].split("_")[0]
     return identifier.split("_")[0]
 
@@ -457,6 +459,65 @@ def split(first: str, second: str, axis: int) -> Handler:
     return handler
 
 
+# Hair (MaterialX PBS).
+
+
+def hair_roughness(node: Node) -> Value:
+    """Chiang et al. 2016, eqs. 7 and 8, without the sqrt(pi / 8) of the latter: (variance, scale) of one lobe."""
+    n = node.network
+
+    def input_of(name: str, default: float) -> Value:
+        return n.clamp(node.get(name, constant(default)), constant(0.001), ONE)
+
+    def fit(x: Value, *terms: tuple[float, float]) -> Value:
+        powers = [n.multiply(constant(c), n.math("power", x, constant(p))) for c, p in terms]
+        return n.add(n.add(powers[0], powers[1]), powers[2])
+
+    root = fit(input_of("longitudinal", 0.1), (0.726, 1.0), (0.812, 2.0), (3.7, 20.0))
+    scale = fit(input_of("azimuthal", 0.2), (0.265, 1.0), (1.194, 2.0), (5.372, 22.0))
+    factors = {
+        "roughness_R": ONE,
+        "roughness_TT": node.get("scale_TT", HALF),
+        "roughness_TRT": node.get("scale_TRT", constant(2.0)),
+    }
+    if node.output not in factors:
+        raise Unsupported(f"it has no output '{node.output}'")
+    root = n.multiply(root, factors[node.output])
+    return n.gather((n.multiply(root, root), 0), (scale, 0))
+
+
+def hair_absorption_from_color(node: Node) -> Value:
+    """Chiang et al. 2016, eq. 9."""
+    n, beta = node.network, node.get("azimuthal_roughness", constant(0.2))
+    factors = (5.969, -0.215, 2.532, -10.73, 5.574, 0.245)
+    fit = constant(0.0)
+    for factor in reversed(factors):
+        fit = n.add(n.multiply(fit, beta), constant(factor))
+    color = n.clamp(node.get("color", constant((1.0, 1.0, 1.0))), constant(0.001), ONE)
+    root = n.divide(n.math("ln", color), fit)
+    return n.resized(n.multiply(root, root), 3)
+
+
+EUMELANIN, PHEOMELANIN = constant((0.657704, 0.498077, 0.254107)), constant((0.829444, 0.67032, 0.349938))
+
+
+def hair_absorption_from_melanin(node: Node) -> Value:
+    """d'Eon et al. 2011, section 6.1; colours are exp(-absorption) of each pigment."""
+    n = node.network
+    clear = n.subtract(ONE, node.get("melanin_concentration", constant(0.25)))
+    melanin = n.subtract(ZERO, n.math("ln", n.math("max", clear, constant(0.0001))))
+    red = node.get("melanin_redness", HALF)
+
+    def absorption(share: Value, color: str, default: Value) -> Value:
+        return n.multiply(
+            n.multiply(melanin, share), n.subtract(ZERO, n.math("ln", node.get(color, default)))
+        )
+
+    eumelanin = absorption(n.subtract(ONE, red), "eumelanin_color", EUMELANIN)
+    total = n.add(eumelanin, absorption(red, "pheomelanin_color", PHEOMELANIN))
+    return n.resized(n.math("max", total, ZERO), 3)
+
+
 HANDLERS: dict[str, Handler] = {
     "UsdPrimvarReader": primvar_reader,
     "UsdUVTexture": uv_texture,
@@ -514,6 +575,9 @@ HANDLERS: dict[str, Handler] = {
     "minus": blend(lambda n, back, front: n.subtract(back, front)),
     "difference": blend(lambda n, back, front: n.math("absval", n.subtract(back, front))),
     "screen": blend(screen),
+    "chiang_hair_roughness": hair_roughness,
+    "chiang_hair_absorption_from_color": hair_absorption_from_color,
+    "deon_hair_absorption_from_melanin": hair_absorption_from_melanin,
     "rotate2d": rotate2d,
     "place2d": place2d,
     "ramplr": ramplr,

@@ -154,6 +154,26 @@ STANDARD_SURFACE = Shader(
     ),
 )
 
+HAIR = Shader(
+    "ND_chiang_hair_bsdf",
+    {
+        "tint_R": WHITE,
+        "tint_TT": WHITE,
+        "tint_TRT": WHITE,
+        "ior": 1.55,
+        "roughness_R": (0.1, 0.1),
+        "roughness_TT": (0.05, 0.05),
+        "roughness_TRT": (0.2, 0.2),
+        "cuticle_angle": 0.5,
+        "absorption_coefficient": BLACK,
+    },
+    {"curve_direction": ANY},
+)
+"""A BSDF; the surface shader is the `ND_surface` before it."""
+
+SURFACE = Shader("ND_surface", {"opacity": 1.0}, {"edf": ANY, "thin_walled": False}, frozenset({"bsdf"}))
+"""MaterialX `surface`, rendered where its BSDF is hair."""
+
 SHADERS = {
     "UsdPreviewSurface": PREVIEW_SURFACE,
     "ND_UsdPreviewSurface_surfaceshader": PREVIEW_SURFACE,

@@ -3,7 +3,7 @@
 use super::report::{LARGEST, NOT_NEGATIVE, Report, UNIT};
 use crate::{
     error::Warning,
-    flat::{Material, OpenPbrSurface, PreviewSurface, StandardSurface},
+    flat::{ChiangHair, Material, OpenPbrSurface, PreviewSurface, StandardSurface},
 };
 use std::ops::RangeInclusive;
 
@@ -19,6 +19,7 @@ pub fn validate_material(path: &str, material: &mut Material, warnings: &mut Vec
         Material::UsdPreviewSurface(surface) => check_preview(surface, &mut report),
         Material::OpenPbr(surface) => check_open_pbr(surface, &mut report),
         Material::StandardSurface(surface) => check_standard(surface, &mut report),
+        Material::Hair(hair) => check_hair(hair, &mut report),
     }
 }
 
@@ -101,6 +102,16 @@ fn check_standard(surface: &mut StandardSurface, report: &mut Report) {
     check_ior("inputs:specular_IOR", &mut surface.specular_ior, default.specular_ior, report);
     check_ior("inputs:coat_IOR", &mut surface.coat_ior, default.coat_ior, report);
     check_emission("inputs:emission", &mut surface.emission, surface.emission_color, report);
+}
+
+fn check_hair(hair: &mut ChiangHair, report: &mut Report) {
+    let default = ChiangHair::default();
+    clamp!(report, hair, default, UNIT; cuticle_angle "cuticle_angle", opacity "opacity");
+    clamp!(report, hair, default, 0.0..=100.0; roughness_r "roughness_R", roughness_tt "roughness_TT",
+        roughness_trt "roughness_TRT");
+    clamp!(report, hair, default, NOT_NEGATIVE; tint_r "tint_R", tint_tt "tint_TT", tint_trt "tint_TRT",
+        absorption_coefficient "absorption_coefficient");
+    check_ior("inputs:ior", &mut hair.ior, default.ior, report);
 }
 
 /// Weight and colour may each be in range and their product not.

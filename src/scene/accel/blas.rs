@@ -26,6 +26,7 @@ pub struct TriHit {
 pub struct Blas {
     pub(super) tree: Tree,
     pub(super) leaves: Vec<Leaf>,
+    one_sided: bool,
 }
 
 /// No triangle has this index.
@@ -45,7 +46,12 @@ impl Blas {
             leaves.push(leaf);
             leaves.len() as u32 - 1
         });
-        Self { tree, leaves }
+        Self { tree, leaves, one_sided: false }
+    }
+
+    /// Hit from the side from which a, b, c go round counterclockwise only.
+    pub fn one_sided(self) -> Self {
+        Self { one_sided: true, ..self }
     }
 
     /// The hit with the smallest t in (0, t_max); at equal t the lowest triangle index.
@@ -57,9 +63,15 @@ impl Blas {
     pub fn closest_skip(&self, ray: &Ray, skip: u32) -> Option<TriHit> {
         // Triangle 0 as "none yet" makes t_max exclusive: no index is below it at equal t.
         let best = TriHit { t: ray.t_max, triangle: 0, u: 0.0, v: 0.0 };
-        let visitor = Closest { leaves: &self.leaves, skip, best, found: false };
-        let visitor = self.tree.walk(ray, visitor);
-        visitor.found.then_some(visitor.best)
+        let (found, best) = if self.one_sided {
+            let sides = Front(ray.d);
+            let visitor = self.tree.walk(ray, Closest { leaves: &self.leaves, sides, skip, best, found: false });
+            (visitor.found, visitor.best)
+        } else {
+            let visitor = self.tree.walk(ray, Closest { leaves: &self.leaves, sides: Both, skip, best, found: false });
+            (visitor.found, visitor.best)
+        };
+        found.then_some(best)
     }
 
     /// Whether anything is hit in (0, t_max).
@@ -69,8 +81,12 @@ impl Blas {
 
     /// As [`Blas::any`], without triangle `skip`.
     pub fn any_skip(&self, ray: &Ray, skip: u32) -> bool {
-        let visitor = Any { leaves: &self.leaves, skip, t_max: ray.t_max, found: false };
-        self.tree.walk(ray, visitor).found
+        let t_max = ray.t_max;
+        if self.one_sided {
+            let sides = Front(ray.d);
+            return self.tree.walk(ray, Any { leaves: &self.leaves, sides, skip, t_max, found: false }).found;
+        }
+        self.tree.walk(ray, Any { leaves: &self.leaves, sides: Both, skip, t_max, found: false }).found
     }
 
     /// Object-space bounds, empty without triangles; at most a few roundings larger than the points'.
@@ -84,9 +100,39 @@ impl Blas {
     }
 }
 
+/// Which sides of a triangle count.
+pub(super) trait Sides {
+    fn see(&self, leaf: &Leaf, lane: usize) -> bool;
+}
+
+pub(super) struct Both;
+
+/// Only the front, for a ray along this.
+struct Front(Vec3);
+
+impl Sides for Both {
+    #[inline(always)]
+    fn see(&self, _: &Leaf, _: usize) -> bool {
+        true
+    }
+}
+
+impl Sides for Front {
+    #[inline(always)]
+    fn see(&self, leaf: &Leaf, lane: usize) -> bool {
+        let [a, b, c] = leaf.corners(lane);
+        (b - a).cross(c - a).dot(self.0) < 0.0
+    }
+}
+
 /// Calls `hit` with each crossing of the line with the leaf's triangles, until it returns true.
 #[inline(always)]
-pub(super) fn crossings<L: Lanes>(leaf: &Leaf, shear: &Shear, mut hit: impl FnMut(u32, Crossing) -> bool) -> bool {
+pub(super) fn crossings<L: Lanes>(
+    leaf: &Leaf,
+    shear: &Shear,
+    sides: &impl Sides,
+    mut hit: impl FnMut(u32, Crossing) -> bool,
+) -> bool {
     let (mut inside, e) = shear.edges::<L>(leaf);
     if inside == 0 {
         return false;
@@ -96,21 +142,22 @@ pub(super) fn crossings<L: Lanes>(leaf: &Leaf, shear: &Shear, mut hit: impl FnMu
         let lane = inside.trailing_zeros() as usize & 7;
         inside &= inside - 1;
         let crossing = shear.crossing(leaf, lane, [e[0][lane], e[1][lane], e[2][lane]]);
-        if crossing.is_some_and(|c| hit(leaf.id[lane], c)) {
+        if crossing.is_some_and(|c| sides.see(leaf, lane) && hit(leaf.id[lane], c)) {
             return true;
         }
     }
     false
 }
 
-struct Closest<'a> {
+struct Closest<'a, S> {
     leaves: &'a [Leaf],
+    sides: S,
     skip: u32,
     best: TriHit,
     found: bool,
 }
 
-impl Visitor for Closest<'_> {
+impl<S: Sides> Visitor for Closest<'_, S> {
     #[inline(always)]
     fn t_max(&self) -> f32 {
         self.best.t
@@ -118,25 +165,27 @@ impl Visitor for Closest<'_> {
 
     #[inline(always)]
     fn leaf<L: Lanes>(&mut self, leaf: u32, shear: &Shear) -> bool {
-        crossings::<L>(&self.leaves[leaf as usize], shear, |triangle, Crossing { t, u, v }| {
-            let nearer = t < self.best.t || (t == self.best.t && triangle < self.best.triangle);
-            if t > 0.0 && nearer && triangle != self.skip {
-                self.best = TriHit { t, triangle, u, v };
-                self.found = true;
+        let Self { leaves, sides, skip, best, found } = self;
+        crossings::<L>(&leaves[leaf as usize], shear, sides, |triangle, Crossing { t, u, v }| {
+            let nearer = t < best.t || (t == best.t && triangle < best.triangle);
+            if t > 0.0 && nearer && triangle != *skip {
+                *best = TriHit { t, triangle, u, v };
+                *found = true;
             }
             false
         })
     }
 }
 
-struct Any<'a> {
+struct Any<'a, S> {
     leaves: &'a [Leaf],
+    sides: S,
     skip: u32,
     t_max: f32,
     found: bool,
 }
 
-impl Visitor for Any<'_> {
+impl<S: Sides> Visitor for Any<'_, S> {
     #[inline(always)]
     fn t_max(&self) -> f32 {
         self.t_max
@@ -144,7 +193,7 @@ impl Visitor for Any<'_> {
 
     #[inline(always)]
     fn leaf<L: Lanes>(&mut self, leaf: u32, shear: &Shear) -> bool {
-        self.found = crossings::<L>(&self.leaves[leaf as usize], shear, |triangle, Crossing { t, .. }| {
+        self.found = crossings::<L>(&self.leaves[leaf as usize], shear, &self.sides, |triangle, Crossing { t, .. }| {
             t > 0.0 && t < self.t_max && triangle != self.skip
         });
         self.found

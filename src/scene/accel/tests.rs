@@ -1,6 +1,6 @@
 //! What the public face cannot show: agreement with brute force and between instruction sets, stacks, trees.
 
-use super::blas::crossings;
+use super::blas::{Both, crossings};
 use super::lanes::{Isa, Portable};
 use super::triangle::{Leaf, Shear};
 use super::*;
@@ -46,7 +46,7 @@ fn brute(triangles: &[[Vec3; 3]], ray: &Ray, skip: u32) -> Option<TriHit> {
     for (id, &p) in triangles.iter().enumerate().filter(|&(id, _)| id as u32 != skip) {
         let mut leaf = Leaf::EMPTY;
         leaf.set(id % 8, id as u32, p);
-        crossings::<Portable>(&leaf, &shear, |triangle, c| {
+        crossings::<Portable>(&leaf, &shear, &Both, |triangle, c| {
             if c.t > 0.0 && c.t < best.map_or(ray.t_max, |b| b.t) {
                 best = Some(TriHit { t: c.t, triangle, u: c.u, v: c.v });
             }
