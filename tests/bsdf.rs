@@ -221,7 +221,9 @@ fn strands_sample_their_pdf() {
         tint_trt: [0.9, 1.2, 0.4],
         cuticle_angle: 0.53,
         absorption_coefficient: [0.1, 0.3, 0.9],
+        // Wide enough for the quadrature of this test.
         roughness_r: [0.02, 0.3],
+        roughness_tt: [0.02, 0.15],
         ..Default::default()
     };
     let fur =
