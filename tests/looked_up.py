@@ -1,12 +1,16 @@
 """What a shading network gives at chosen texture coordinates: quads that glow in it, one pixel of each."""
 
-from collections.abc import Sequence
+import json
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 from pxr import Sdf, Usd
 
 import dermis
+from dermis._core import Delegate
+from dermis.hydra import populate
+from dermis.stage import Options, flatten
 
 PIXELS = 3
 """Side of a quad in pixels: the filter reaches one pixel, so that the middle one sees its quad alone."""
@@ -89,3 +93,21 @@ def render(text: str, count: int, **settings: object) -> dermis.Image:
 
 def middles(image: dermis.Image, count: int) -> NDArray[np.float32]:
     return image.color[1, 1::PIXELS, :3][:count]
+
+
+def images_of_edits(texts: Sequence[str], **settings: object) -> Iterator[tuple[int, dict, dict]]:
+    """(meshes built, AOVs after the edit, AOVs of a fresh load): one stage after the other is brought to a delegate."""
+    edited, previous = Delegate(), None
+    for text in texts:
+        flat = flatten(stage_of(text), None, Options(aovs=tuple(settings["aovs"])))
+        fresh = Delegate()
+        populate(edited, flat, previous)
+        populate(fresh, flat)
+        previous, images = flat, []
+        for core in (edited, fresh):
+            core.set_settings(json.dumps({"camera": "/Eye", **settings}))
+            built = json.loads(core.commit())["blas_built"]
+            core.start()
+            assert core.wait(60.0)
+            images.append((built, core.snapshot()))
+        yield images[0][0], images[0][1], images[1][1]

@@ -182,6 +182,11 @@ impl Tile {
         }
     }
 
+    /// Whether an AOV shows a primvar.
+    pub fn shows_primvars(&self) -> bool {
+        !self.primvars.is_empty()
+    }
+
     /// Adds primvars of the first surface of a sample of pixel `i`, in the order of their AOVs.
     pub fn add_primvars(&mut self, i: usize, values: impl ExactSizeIterator<Item = Vec3>) {
         let first = i * values.len();

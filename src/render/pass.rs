@@ -165,7 +165,9 @@ fn render_tile(
     let path =
         PathSettings { max_depth: settings.max_depth, lights_visible_to_camera: settings.lights_visible_to_camera };
     let lens = scene.camera.has_depth_of_field();
-    let primvars: Vec<&str> = settings.aovs.iter().filter_map(|aov| aov.strip_prefix(PRIMVAR_AOV)).collect();
+    // A pilot has none.
+    let shown = settings.aovs.iter().filter(|_| tile.shows_primvars());
+    let primvars: Vec<&str> = shown.filter_map(|aov| aov.strip_prefix(PRIMVAR_AOV)).collect();
     for i in 0..(tile.width * tile.height) as usize {
         let (x, y) = (tile.x0 + (i as u32 % tile.width) as i32, tile.y0 + (i as u32 / tile.width) as i32);
         // A crop renders the pixels of the whole.

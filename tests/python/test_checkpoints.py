@@ -40,6 +40,9 @@ def same_image(a: Path, b: Path) -> None:
         np.testing.assert_array_equal(values, second[name], err_msg=name)
 
 
+KEPT = ("depth", "variance", "subsurface", "cryptoObject", "primvars:displayColor")
+
+
 def wait_for(file: Path, child, seconds: float = 60.0) -> None:
     end = time.monotonic() + seconds
     while not file.exists() and child.poll() is None and time.monotonic() < end:
@@ -54,7 +57,7 @@ def wait_for(file: Path, child, seconds: float = 60.0) -> None:
 def test_killed_and_resumed_is_the_uninterrupted_image(wax, tmp_path, walk, noise):
     """kill -9 three times in a row, whatever tile or pass is under way."""
     flags = ("-w", "40", "--samples", "80", "--walk", walk, "--threads", "2", *noise)
-    aovs = [word for aov in ("depth", "variance", "subsurface", "cryptoObject") for word in ("--aov", aov)]
+    aovs = [word for aov in KEPT for word in ("--aov", aov)]
     assert run("record", wax, tmp_path / "whole.exr", *flags, *aovs) == 0
     out, keep = tmp_path / "a.exr", tmp_path / "a.exr.checkpoint"
     # (pilot, samples done): after something was learned, in the middle of a pass.

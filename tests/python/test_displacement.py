@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
-from looked_up import reader, shader, stage_of
+from looked_up import images_of_edits, reader, shader, stage_of
 from test_textures import write
 
 dermis = pytest.importorskip("dermis")
@@ -156,25 +154,25 @@ def test_a_body_with_seams_stays_closed(tmp_path):
 
 
 def test_edits_give_the_image_of_a_fresh_load():
-    stages = [stage_of(cube() + look(f" = {value}") + CAMERA) for value in (0.0, 0.3, 0.1)]
-    flats = [flatten(stage) for stage in stages]
-    settings = {"resolution": [32, 32], "samples": 1, "camera": "/Eye", "refineLevel": 2, "aovs": ["depth"]}
-    edited, previous = dermis._core.Delegate(), None
-    for flat in flats:
-        populate(edited, flat, previous)
-        previous = flat
-        edited.set_settings(json.dumps(settings))
-        built = json.loads(edited.commit())["blas_built"]
-        fresh = dermis._core.Delegate()
-        populate(fresh, flat)
-        fresh.set_settings(json.dumps(settings))
-        fresh.commit()
-        images = []
-        for core in (edited, fresh):
-            core.start()
-            assert core.wait(60.0)
-            images.append(core.snapshot()["depth"])
-        assert built == 1 and np.array_equal(*images)
+    texts = [cube() + look(f" = {value}") + CAMERA for value in (0.0, 0.3, 0.1)]
+    for built, edited, fresh in images_of_edits(
+        texts, resolution=[32, 32], samples=1, refineLevel=2, aovs=["depth"]
+    ):
+        assert built == 1 and np.array_equal(edited["depth"], fresh["depth"])
+
+
+def test_an_image_that_is_painted_over_displaces_anew(tmp_path):
+    images = []
+    for i in range(2):
+        file = write(tmp_path / f"{i}.exr", np.full((4, 4, 1), 0.1 + 0.2 * i), "float")
+        images.append(cube() + look(DRIVEN, texture(file)) + CAMERA)
+    depths = []
+    for built, edited, fresh in images_of_edits(
+        images, resolution=[32, 32], samples=1, refineLevel=2, aovs=["depth"]
+    ):
+        assert built == 1 and np.array_equal(edited["depth"], fresh["depth"])
+        depths.append(edited["depth"].min())
+    assert depths[1] == pytest.approx(depths[0] - 0.2, abs=1e-3)
 
 
 def test_what_displaces_is_in_the_file(tmp_path):

@@ -4,7 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from looked_up import camera, glowing, middles, primvar, quads, reader, render, shader, stage_of
+from looked_up import (
+    camera,
+    glowing,
+    images_of_edits,
+    middles,
+    primvar,
+    quads,
+    reader,
+    render,
+    shader,
+    stage_of,
+)
 
 dermis = pytest.importorskip("dermis")
 from dermis.stage import flatten  # noqa: E402
@@ -101,3 +112,15 @@ def test_display_colors_of_instances_are_those_of_meshes():
     ]
     np.testing.assert_array_equal(*(image["albedo"] for image in images))
     assert len(np.unique(images[0]["albedo"][1, 1::3], axis=0)) == 4
+
+
+def test_edits_give_the_image_of_a_fresh_load():
+    several = [TINTS, TINTS[::-1], [(float("nan"),) * 3, *TINTS[1:]]]
+    texts = [
+        TINTED + instancer(4, listed("tint", "color3f", tints, "vertex")) + camera(4) for tints in several
+    ]
+    seen_before = None
+    for _, edited, fresh in images_of_edits(texts, resolution=[12, 3], samples=1, aovs=["primvars:tint"]):
+        assert all(np.array_equal(edited[name], fresh[name]) for name in ("color", "primvars:tint"))
+        assert not np.array_equal(edited["color"], seen_before)
+        seen_before = edited["color"]

@@ -121,7 +121,7 @@ def test_flags_take_any_primvar(tmp_path):
     assert run("record", stage, tmp_path / "b.exr", "--aov", "primvars:") == 2
 
 
-def test_checkpoints_and_tiles_keep_them(tmp_path):
+def test_tiles_keep_them(tmp_path):
     assert stage_with_vars(tmp_path) == 0
     whole = channels(tmp_path / "a.exr")
     for i in range(2):
