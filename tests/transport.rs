@@ -104,7 +104,7 @@ fn path_length(
     // The boundary point as the scene sees it: the first surface on the way in from outside.
     let centre = scene.instances[0].to_render.translation;
     let hit = scene.closest(centre + p * *half + normal, -normal, 10.0, None).expect("the box is there");
-    let hit = dermis::scene::BoundaryHit { triangle: hit.triangle, u: hit.u, v: hit.v };
+    let hit = dermis::scene::BoundaryHit::of(&hit);
     let start = Start { p: enclosure.point(&hit), d, normal, hit, weight: Vec3::ONE };
     let (mut stats, mut length, mut last) = (WalkStats::default(), 0.0_f64, start.p);
     let end = walk(

@@ -130,6 +130,12 @@ impl Interface {
         Self { eta, alpha, reflect_tint, transmit_tint, albedo_outside: albedo(eta), albedo_inside: albedo(1.0 / eta) }
     }
 
+    /// The same where the outside has the index `beside`, not 1. A rough one gets its albedos from the grid of [`Curves`].
+    pub fn beside(&self, beside: f32) -> Self {
+        let eta = self.eta / beside;
+        Self::new(eta, self.alpha, self.reflect_tint, self.transmit_tint, &mut Curves::Known(&[]))
+    }
+
     /// True when it refracts into single directions.
     pub fn is_smooth(&self) -> bool {
         is_smooth(self.alpha, self.eta)

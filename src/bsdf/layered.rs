@@ -134,6 +134,12 @@ impl Layered {
         bsdf.push(Lobe::PassThrough, weight * self.through, Rgb::ONE);
     }
 
+    /// The same where the outside has the index `beside`, not 1: for the interface. Specular lobes over a diffuse boundary
+    /// or an opaque base keep the reflectance that they have in air.
+    pub fn beside(&self, beside: f32) -> Self {
+        Self { interface: self.interface.map(|(share, interface)| (share, interface.beside(beside))), ..*self }
+    }
+
     /// Share that goes straight through at the cosine `mu`.
     pub fn transparency(&self, mu: f32) -> Rgb {
         (1.0 - self.metalness()) * self.through * self.below_specular(mu)

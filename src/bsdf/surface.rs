@@ -179,6 +179,16 @@ impl Surface {
         matches!(self.base, Base::Hair(_))
     }
 
+    /// As [`Self::bsdf`], in surroundings of the index `beside`.
+    pub fn bsdf_beside(&self, wo: Vec3, side: Side, beside: f32) -> Bsdf {
+        match &self.base {
+            Base::Layered(layered) if beside != 1.0 && layered.interface().is_some() => {
+                Self { base: Base::Layered(layered.beside(beside)), ..*self }.bsdf(wo, side)
+            }
+            _ => self.bsdf(wo, side),
+        }
+    }
+
     /// Index of the inside / index of the outside and tint of a boundary that refracts into single directions.
     pub fn smooth_interface(&self) -> Option<(f32, Rgb)> {
         let Base::Layered(layered) = &self.base else { return None };

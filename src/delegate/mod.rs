@@ -173,6 +173,7 @@ impl RenderDelegate {
         }
         if has(DirtyBits::MATERIAL_ID) {
             mesh.material = new.material;
+            (mesh.medium_priority, mesh.subsurface_set) = (new.medium_priority, new.subsurface_set);
         }
         if has(DirtyBits::DOUBLE_SIDED) {
             mesh.double_sided = new.double_sided;

@@ -29,6 +29,14 @@ impl Material {
         }
     }
 
+    /// Of its medium, where bodies overlap; the shaders of MaterialX have no word for it.
+    pub fn priority(&self) -> i32 {
+        match self {
+            Self::UsdPreviewSurface(m) => m.subsurface_priority,
+            Self::OpenPbr(_) | Self::StandardSurface(_) | Self::Hair(_) => 0,
+        }
+    }
+
     /// Its only input is `displacement`: the way along the normal, object units. Empty: none.
     pub fn displacement(&self) -> &Network {
         match self {
@@ -86,6 +94,8 @@ pub struct PreviewSurface {
     pub subsurface_boundary: Cow<'static, str>,
     /// Single-scattering albedo; overrides the inversion of `subsurface_color`.
     pub subsurface_albedo: Option<[f32; 3]>,
+    /// Where bodies overlap, the higher one fills the place.
+    pub subsurface_priority: i32,
     #[serde(skip_serializing_if = "Network::is_empty")]
     pub network: Network,
     #[serde(skip_serializing_if = "Network::is_empty")]
@@ -114,6 +124,7 @@ impl Default for PreviewSurface {
             subsurface_anisotropy: 0.0,
             subsurface_boundary: "diffuse".into(),
             subsurface_albedo: None,
+            subsurface_priority: 0,
             network: Network::default(),
             displacement: Network::default(),
         }

@@ -121,6 +121,12 @@ pub struct Mesh {
     pub primvars: BTreeMap<String, AnyPrimvar>,
     pub display_color: Option<Primvar<[f32; 3]>>,
     pub display_opacity: Option<Primvar<f32>>,
+    /// Where bodies with a medium overlap, the higher one fills the place; `None`: that of its materials.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub medium_priority: Option<i32>,
+    /// Meshes of one name share one interior behind their diffuse boundaries; empty: that of this mesh alone.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    pub subsurface_set: String,
     /// Prim path of the bound material; empty: none.
     pub material: String,
     pub geom_subsets: Vec<GeomSubset>,
@@ -149,6 +155,8 @@ impl Default for Mesh {
             primvars: BTreeMap::new(),
             display_color: None,
             display_opacity: None,
+            medium_priority: None,
+            subsurface_set: String::new(),
             material: String::new(),
             geom_subsets: Vec::new(),
             instancer: String::new(),

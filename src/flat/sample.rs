@@ -33,6 +33,8 @@ pub(crate) fn cube() -> Mesh {
             ..SubdivTags::default()
         },
         refine_level: Some(2),
+        medium_priority: Some(3),
+        subsurface_set: "head".into(),
         material: "/looks/skin".into(),
         geom_subsets: vec![GeomSubset {
             path: "/cube/top".into(),

@@ -11,7 +11,7 @@ use crate::math::{Rgb, mean};
 use crate::medium::Medium;
 use crate::sampling::power_heuristic;
 use crate::sampling::sampler::Sampler;
-use crate::scene::{InstanceEnclosure, Scene};
+use crate::scene::{InstanceEnclosure, Scene, SurfaceHit};
 use crate::subsurface::steps::Enclosure;
 use crate::subsurface::walk::Collision;
 use glam::{Vec2, Vec3};
@@ -20,7 +20,7 @@ use glam::{Vec2, Vec3};
 #[derive(Clone, Copy)]
 pub(super) struct CollisionLight<'a> {
     pub scene: &'a Scene,
-    /// The object that the collisions are in.
+    /// The body that the collisions are in.
     pub instance: u32,
     /// Of objects around the path: those around the collision where the boundary is matched, around the object where it
     /// is not.
@@ -30,6 +30,8 @@ pub(super) struct CollisionLight<'a> {
     pub bucket: Bucket,
     /// The boundary that bends the light; `None`: matched.
     pub bent: Option<Bent<'a>>,
+    /// By a walk that does not look for lights with shadow rules itself.
+    pub wades: bool,
 }
 
 impl CollisionLight<'_> {
@@ -65,10 +67,12 @@ impl CollisionLight<'_> {
         if phase <= 0.0 {
             return 0;
         }
-        let hit = self.scene.boundary_from_within(self.instance, collision.p, light.wi, light.reach());
-        let visible = visibility_beyond(self.scene, light.light, hit, light.wi, light.reach(), self.around);
-        // Walks meet no lights before the boundary: those within the medium are ours alone.
-        let ours = light.delta || hit.is_none() && light.distance.is_finite();
+        let hit = enclosure.cast(collision.p, light.wi, light.reach(), None);
+        let hit = hit.map(|(t, hit)| SurfaceHit { t, ..enclosure.surface_hit(&hit) });
+        let visible = visibility_beyond(self.scene, light.light, hit, light.wi, light.reach(), &self.around);
+        // Walks meet no light shapes before the next surface: those within the medium are ours alone.
+        let within = hit.is_none() && light.distance.is_finite() && !self.scene.lights.is_mesh(light.light);
+        let ours = light.delta || within || self.wades && self.scene.lights.shadow(light.light).is_some();
         let weight = if ours { 1.0 } else { power_heuristic(light.pdf, pdf) };
         self.give(sample, collision.weight * visible * light.radiance * (phase * weight / light.pdf));
         1
@@ -99,7 +103,7 @@ impl CollisionLight<'_> {
                 shadow_rays += 1;
                 let o = bent.window.interaction(&at).origin(at.v);
                 let origin = Some((self.instance, at.hit.triangle));
-                let visible = visibility(self.scene, emitter.light, o, at.v, at.reach(), origin, self.around);
+                let visible = visibility(self.scene, emitter.light, o, at.v, at.reach(), origin, &self.around);
                 self.give(sample, value * visible);
             }
         }

@@ -11,7 +11,7 @@ use crate::light::{Choice, Emitter, LightSample, ShapeHit};
 use crate::math::Rgb;
 use crate::sampling::power_heuristic;
 use crate::sampling::sampler::Sampler;
-use crate::scene::{Coating, Origin};
+use crate::scene::Coating;
 use glam::{Vec2, Vec3};
 
 /// Generator of the R2 sequence (Roberts 2018): inverse powers of the plastic number.
@@ -20,12 +20,15 @@ const R2: Vec2 = Vec2::new(0.754_877_7, 0.569_840_3);
 impl Path<'_> {
     /// Adds the light shapes crossed before `t_max`.
     pub(super) fn meet_light_shapes(&mut self, t_max: f32) {
-        self.meet_light_shapes_along(self.o, self.d, t_max, self.inside);
+        if self.scene.has_light_shapes() {
+            let inside = self.inside;
+            self.meet_light_shapes_along(self.o, self.d, t_max, &inside);
+        }
     }
 
     /// Adds the light shapes crossed along (o, d) before `t_max`, amid the objects `inside`. They occlude nothing, so all
     /// of them count.
-    pub(super) fn meet_light_shapes_along(&mut self, o: Vec3, d: Vec3, t_max: f32, inside: Nest) {
+    pub(super) fn meet_light_shapes_along(&mut self, o: Vec3, d: Vec3, t_max: f32, inside: &Nest) {
         let scene = self.scene;
         scene.light_shapes(o, d, t_max, |light, hit| {
             let radiance = scene.lights.radiance_hit(light, d, hit);
@@ -187,17 +190,20 @@ impl Path<'_> {
         if !self.scene.illuminates(light.light, si.instance) {
             return;
         }
-        let inside = if matches!(si.side, Side::Inside) { self.inside.left(si.instance) } else { self.inside };
+        let beyond;
+        let inside = if matches!(si.side, Side::Inside) {
+            beyond = self.inside.left(si.instance);
+            &beyond
+        } else {
+            &self.inside
+        };
+        self.stats.shadow_rays += 1;
         let origin = Some((si.instance, si.triangle));
-        let visible = self.shadow(si.origin(light.wi), &light, origin, inside);
+        let (o, reach) = (si.origin(light.wi), light.reach());
+        let visible = visibility(self.scene, light.light, o, light.wi, reach, origin, inside);
         let pdf = || guide.map_or(bsdf.pdf(wi), |guide| guide.pdf(bsdf.pdf(wi), light.wi));
         let weight = if light.delta { 1.0 } else { power_heuristic(light.pdf, pdf()) };
         self.add(f * visible * light.radiance * (weight / light.pdf));
-    }
-
-    fn shadow(&mut self, o: Vec3, light: &LightSample, origin: Origin, inside: Nest) -> Rgb {
-        self.stats.shadow_rays += 1;
-        visibility(self.scene, light.light, o, light.wi, light.reach(), origin, inside)
     }
 }
 

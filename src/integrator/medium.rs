@@ -1,7 +1,7 @@
 //! Passing an object's inside: sub-walks from boundary to boundary until the light gets out.
 
 use super::collision::{Bent, CollisionLight, Refracted};
-use super::nest::Inside;
+use super::nest::Nest;
 use super::watch::drawn;
 use super::{Bucket, Path, Previous};
 use crate::bsdf::{Boundary, Bsdf, Event, Side, Surface};
@@ -20,21 +20,21 @@ use crate::subsurface::walk::{Along, Collision, walk};
 use glam::{Vec2, Vec3};
 
 /// The last collision of a walk and the solid-angle pdf with which it went on, as in [`WalkEnd::Boundary`].
-type Scattered = Option<(Vec3, f32)>;
+pub(super) type Scattered = Option<(Vec3, f32)>;
 
 /// The medium that a path is in.
-struct Passage<'a> {
-    enclosure: InstanceEnclosure<'a>,
-    instance: u32,
+pub(super) struct Passage<'a> {
+    pub enclosure: InstanceEnclosure<'a>,
+    pub instance: u32,
     /// Of the entry.
-    surface: u32,
-    boundary: Boundary,
+    pub surface: u32,
+    pub boundary: Boundary,
     /// The boundary, where light is sampled through it.
-    bent: Option<Bent<'a>>,
-    plan: &'a Plan,
-    medium: &'a GuidedMedium,
+    pub bent: Option<Bent<'a>>,
+    pub plan: &'a Plan,
+    pub medium: &'a GuidedMedium,
     /// No boundary was met yet.
-    first: bool,
+    pub first: bool,
 }
 
 impl<'a> Path<'a> {
@@ -63,17 +63,25 @@ impl<'a> Path<'a> {
             self.bucket = Bucket::Subsurface;
         }
         let enclosure = InstanceEnclosure::new(scene, si.instance);
-        let bent = if plan.bends { Bent::new(scene, si.instance, si.surface) } else { None };
+        let beside = self.inside.index_beside(si.instance);
+        // The search knows the boundary in air.
+        let bent = if plan.bends && beside == 1.0 { Bent::new(scene, si.instance, si.surface) } else { None };
         let (instance, surface, first) = (si.instance, si.surface, self.depth == 0);
         let mut passage = Passage { enclosure, instance, surface, boundary, bent, plan, medium, first };
+        let within = self.crossed(si, coating)?;
         let entry = BoundaryHit::of(hit);
         let p = passage.enclosure.point(&entry);
         if boundary == Boundary::IndexMatched && scene.has_light_shapes() {
-            self.meet_lights_within(&passage, p, wi, entry);
+            self.meet_lights_within(&passage.enclosure, p, wi, entry, &within);
         }
         let mut start = Start { p, d: wi, normal: si.ng, hit: entry, weight: Rgb::ONE };
         loop {
-            let (at, d, scattered) = self.sub_walk(&passage, start, sampler)?;
+            let light = self.light_at_collisions(&passage, &within);
+            let (at, d, scattered) = self.sub_walk(&passage, start, light, sampler)?;
+            if let (Some((p, pdf)), Boundary::IndexMatched) = (scattered, boundary) {
+                self.collided(instance, passage.enclosure.to_render(p), pdf);
+                self.drawn = true;
+            }
             passage.first = false;
             let mut exit = scene.interaction(&passage.enclosure.surface_hit(&at), d, Side::Inside);
             scene.bend(&mut exit, self.cone.width);
@@ -82,10 +90,10 @@ impl<'a> Path<'a> {
                     self.continue_from(&exit, d);
                     return self.cross();
                 }
-                Boundary::Diffuse => return self.leave_diffuse(&exit, passage.enclosure.point(&at), sampler),
+                Boundary::Diffuse => return self.leave_diffuse(&exit, passage.enclosure.point_of_hit(&at), sampler),
                 Boundary::Dielectric => {
                     let p = passage.enclosure.point(&at);
-                    match self.meet_dielectric(&coating.surface, &exit, p, sampler)? {
+                    match self.meet_dielectric(&coating.surface, beside, &exit, p, sampler)? {
                         Some(reflected) => {
                             self.cross()?;
                             start = Start { p, d: reflected, normal: exit.ng, hit: at, weight: Rgb::ONE };
@@ -102,11 +110,37 @@ impl<'a> Path<'a> {
 
     /// Light shapes inside a matched medium, as seen from the entry at `p` along `d`, by what passes without a collision:
     /// exactly, where the walk would have to get that far. After collisions next-event estimation has them alone.
-    fn meet_lights_within(&mut self, passage: &Passage, p: Vec3, d: Vec3, entry: BoundaryHit) {
-        let object = Inside { instance: passage.instance, medium: Some(passage.medium.medium) };
-        let Some(inside) = self.inside.entered(object) else { return };
-        let t_max = passage.enclosure.cast(p, d, f32::INFINITY, Some(entry)).map_or(f32::INFINITY, |(t, _)| t);
-        self.meet_light_shapes_along(passage.enclosure.to_render(p), d, t_max, inside);
+    pub(super) fn meet_lights_within(
+        &mut self,
+        enclosure: &InstanceEnclosure,
+        p: Vec3,
+        d: Vec3,
+        entry: BoundaryHit,
+        within: &Nest,
+    ) {
+        let t_max = enclosure.cast(p, d, f32::INFINITY, Some(entry)).map_or(f32::INFINITY, |(t, _)| t);
+        self.meet_light_shapes_along(enclosure.to_render(p), d, t_max, within);
+    }
+
+    /// What MIS needs of a direction that a collision at `p` (render space) in `instance` drew, where it sampled light too.
+    pub(super) fn collided(&mut self, instance: u32, p: Vec3, pdf: f32) {
+        let lights = crate::guiding::LightsAt::One;
+        self.previous = Previous::Sampled { p, n: None, pdf, lights };
+        self.receiver = instance;
+    }
+
+    /// Light reaches collisions straight only where the boundary does not bend it. `within`: the bodies around them.
+    fn light_at_collisions<'b>(&self, passage: &Passage<'b>, within: &Nest) -> Option<CollisionLight<'b>>
+    where
+        'a: 'b,
+    {
+        let around = match passage.boundary {
+            Boundary::IndexMatched => *within,
+            Boundary::Dielectric if passage.bent.is_some() => self.inside,
+            _ => return None,
+        };
+        let (scene, instance, bucket, bent) = (self.scene, passage.instance, self.bucket, passage.bent);
+        Some(CollisionLight { scene, instance, around, scale: 1.0, bucket, bent, wades: false })
     }
 
     /// What MIS needs where the segment out of a bent boundary at `p` (walk space) meets a light.
@@ -118,36 +152,25 @@ impl<'a> Path<'a> {
 
     /// One walk to the next boundary point: where, in which direction it arrives, and its last collision with the pdf of
     /// that direction.
-    fn sub_walk(
+    pub(super) fn sub_walk(
         &mut self,
         passage: &Passage,
         mut start: Start<BoundaryHit>,
+        light: Option<CollisionLight>,
         sampler: &mut Sampler,
     ) -> Option<(BoundaryHit, Vec3, Scattered)> {
         let scale = self.throughput.max_element();
         (scale > 0.0).then_some(())?;
         start.weight = self.throughput / scale;
-        let (scene, instance, bucket, bent) = (self.scene, passage.instance, self.bucket, passage.bent);
-        let light = |around, bent| CollisionLight { scene, instance, around, scale, bucket, bent };
-        let end = match passage.boundary {
-            // Light reaches collisions straight only where the boundary does not bend it.
-            Boundary::IndexMatched => {
-                let medium = Some(passage.medium.medium);
-                let light = light(self.enter(Inside { instance, medium })?, None);
+        let end = match light {
+            Some(light) => {
+                let light = CollisionLight { scale, ..light };
                 self.walk::<true>(passage, start, scale, Some(light), sampler)
             }
-            Boundary::Dielectric if bent.is_some() => {
-                self.walk::<true>(passage, start, scale, Some(light(self.inside, bent)), sampler)
-            }
-            _ => self.walk::<false>(passage, start, scale, None, sampler),
+            None => self.walk::<false>(passage, start, scale, None, sampler),
         };
         let WalkEnd::Boundary { hit, d, weight, scattered, .. } = end else { return None };
         self.throughput = scale * weight;
-        if let (Some((p, pdf)), Boundary::IndexMatched) = (scattered, passage.boundary) {
-            let lights = crate::guiding::LightsAt::One;
-            self.previous = Previous::Sampled { p: passage.enclosure.to_render(p), n: None, pdf, lights };
-            (self.receiver, self.drawn) = (instance, true);
-        }
         Some((hit, d, scattered))
     }
 
@@ -274,11 +297,12 @@ impl<'a> Path<'a> {
     fn meet_dielectric(
         &mut self,
         surface: &Surface,
+        beside: f32,
         exit: &Interaction,
         p: Vec3,
         sampler: &mut Sampler,
     ) -> Option<Option<Vec3>> {
-        let bsdf = surface.bsdf(exit.local(exit.wo), Side::Inside);
+        let bsdf = surface.bsdf_beside(exit.local(exit.wo), Side::Inside, beside);
         let lights = self.guide.exit_choice(exit.instance, p, exit.ng);
         self.next_event(exit, &bsdf, lights, None, sampler);
         let chosen = bsdf.sample(sampler.next_1d(), sampler.next_2d())?;

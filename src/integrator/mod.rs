@@ -9,6 +9,7 @@ mod medium;
 mod nest;
 mod probe;
 mod shadow;
+mod wade;
 mod watch;
 
 pub use log::WalkLog;
@@ -25,7 +26,7 @@ use crate::scene::{Coating, NOBODY, Origin, Scene, SurfaceHit};
 use crate::subsurface::steps::WalkStats;
 use bytemuck::{Pod, Zeroable};
 use collision::Refracted;
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 use nest::{Inside, Nest};
 
 /// Counts of one or many paths, for the statistics.
@@ -142,6 +143,8 @@ struct Path<'a> {
     receiver: u32,
     /// Its direction is drawn, not given by the one before it.
     drawn: bool,
+    /// Barycentrics of `o` on it.
+    at: Vec2,
 }
 
 /// Radiance along a camera ray. Estimates may be negative where control variates are on; `log` takes what the walks
@@ -159,6 +162,11 @@ pub fn trace(
     let cone = Cone { width, spread };
     let mut path = Path { o: ray.o, d: ray.d, t_max: ray.t_max, cone, ..Path::new(scene, guide, settings, stats) };
     path.log = Some(log);
+    if !scene.camera_within.is_empty() {
+        path.inside = Nest::of(scene, &scene.camera_within);
+        // Radiance over the square of the index is what comes out of a medium: a sensor is not wet, its housing is.
+        path.throughput /= path.inside.index_beside(u32::MAX).powi(2);
+    }
     while path.segment(sampler).is_some() {}
     path.finish_walks();
     let sample = path.sample;
@@ -193,6 +201,7 @@ impl<'a> Path<'a> {
             origin: None,
             receiver: NOBODY,
             drawn: false,
+            at: Vec2::ZERO,
         }
     }
 }
@@ -200,10 +209,11 @@ impl<'a> Path<'a> {
 impl Path<'_> {
     /// One segment and the vertex at its end; `None` when the path is over.
     fn segment(&mut self, sampler: &mut Sampler) -> Option<()> {
-        self.stats.rays += 1;
-        if std::mem::take(&mut self.drawn) && self.scene.lights.has_shadow_rules() {
-            self.meet_ruled_lights();
+        if let Some(body) = self.inside.scattering() {
+            return self.wade(*body, sampler);
         }
+        self.stats.rays += 1;
+        self.meet_ruled_lights_once();
         let hit = self.scene.closest(self.o, self.d, self.t_max, self.origin);
         self.meet_light_shapes(hit.as_ref().map_or(self.t_max, |hit| hit.t));
         let Some(hit) = hit else {
@@ -212,17 +222,36 @@ impl Path<'_> {
         };
         self.throughput *= self.inside.transmittance(hit.t);
         self.cone.width = self.cone.at(hit.t);
-        let mut si = self.scene.interaction(&hit, self.d, self.side_of(&hit));
+        self.meet_surface(&hit, sampler)
+    }
+
+    /// Those of a direction that was drawn at the start of a segment.
+    fn meet_ruled_lights_once(&mut self) {
+        if std::mem::take(&mut self.drawn) && self.scene.lights.has_shadow_rules() {
+            self.meet_ruled_lights();
+        }
+    }
+
+    /// The vertex at the end of a segment.
+    fn meet_surface(&mut self, hit: &SurfaceHit, sampler: &mut Sampler) -> Option<()> {
+        let mut si = self.scene.interaction(hit, self.d, side_of(&self.inside, hit.instance));
         let coating = self.scene.shade(&mut si, self.cone.width);
         self.meet_surface_emission(&si, &coating);
         if self.depth > self.settings.max_depth {
             return None;
         }
-        self.scatter(&hit, &si, &coating, sampler)
+        if hides(self.scene, &self.inside, hit.instance, &coating) {
+            self.inside = self.crossed(&si, &coating)?;
+            return self.pass_through(&si);
+        }
+        self.scatter(hit, &si, &coating, sampler)
     }
 
-    fn side_of(&self, hit: &SurfaceHit) -> Side {
-        if self.inside.contains(hit.instance) { Side::Inside } else { Side::Outside }
+    /// The bodies around the path beyond the boundary at `si`.
+    fn crossed(&mut self, si: &Interaction, coating: &Coating) -> Option<Nest> {
+        let nest = crossed(self.scene, &self.inside, si, coating);
+        self.stats.trapped += u64::from(nest.is_none());
+        nest
     }
 
     /// Next-event estimation and a new direction at a surface.
@@ -230,13 +259,13 @@ impl Path<'_> {
         let surface = &coating.surface;
         let recolored = si.display_color.and_then(|color| surface.with_display_color(color));
         let surface = recolored.as_ref().unwrap_or(surface);
-        let bsdf = surface.bsdf(si.local(si.wo), si.side);
+        let bsdf = surface.bsdf_beside(si.local(si.wo), si.side, self.inside.index_beside(si.instance));
         let chosen = bsdf.sample(sampler.next_1d(), sampler.next_2d());
         self.record_seen(si, surface, chosen.as_ref());
         if self.depth > 0 && self.bucket == Bucket::Direct {
             self.bucket = Bucket::Indirect;
         }
-        let lights = if self.depth == 0 { self.guide.first_hit_choice() } else { LightsAt::One };
+        let lights = if self.depth == 0 { self.guide.first_hit_choice() } else { self.lights_at(si, coating) };
         self.next_event(si, &bsdf, lights, None, sampler);
 
         let chosen = chosen?;
@@ -261,6 +290,13 @@ impl Path<'_> {
         }
     }
 
+    /// How lights are sampled at a surface that is not the first.
+    fn lights_at(&self, si: &Interaction, coating: &Coating) -> LightsAt {
+        let leaves = matches!(si.side, Side::Inside) && coating.interior.is_some_and(|i| i.medium.scatters());
+        let origin = self.scene.instances[si.instance as usize].to_render.translation;
+        if leaves { self.guide.exit_choice(si.instance, si.p - origin, si.ng) } else { LightsAt::One }
+    }
+
     /// Opacity let the path straight through: nothing is crossed, nothing is sampled anew.
     fn pass_through(&mut self, si: &Interaction) -> Option<()> {
         self.cross()?;
@@ -280,35 +316,39 @@ impl Path<'_> {
         lights: LightsAt,
         sampler: &mut Sampler,
     ) -> Option<()> {
-        let interior = coating.interior;
+        let nest = self.crossed(si, coating)?;
         let entering = matches!(si.side, Side::Outside);
-        if entering && interior.is_some_and(|interior| interior.medium.scatters()) {
+        let scattering = nest.scattering().filter(|body| entering && body.instance == si.instance);
+        if scattering.is_some() && self.scene.is_alone(si.instance) {
             return self.enter_medium(hit, si, coating, wi, sampler);
         }
-        self.inside = if entering {
-            self.enter(Inside { instance: si.instance, medium: interior.map(|i| i.medium) })?
-        } else {
-            self.inside.left(si.instance)
-        };
-        match interior {
+        self.inside = nest;
+        match coating.interior {
             // Shadow rays pass it too, so what MIS knows of the segment's start still holds.
             Some(interior) if interior.boundary == Boundary::IndexMatched => self.pass_through(si),
+            // Passing a medium that scatters counts where it is left.
+            _ if scattering.is_some() => self.turn(si, wi, delta, pdf, lights),
             _ => self.bounce(si, wi, delta, pdf, lights),
         }
     }
 
     /// Sets up the next segment along `wi`, sampled at `si`.
     fn bounce(&mut self, si: &Interaction, wi: Vec3, delta: bool, pdf: f32, lights: LightsAt) -> Option<()> {
+        if matches!(si.side, Side::Inside) && self.inside.contains(si.instance) {
+            self.cross()?;
+        } else {
+            self.depth += 1;
+        }
+        self.turn(si, wi, delta, pdf, lights)
+    }
+
+    /// The same without counting it.
+    fn turn(&mut self, si: &Interaction, wi: Vec3, delta: bool, pdf: f32, lights: LightsAt) -> Option<()> {
         self.previous =
             if delta { Previous::Delta } else { Previous::Sampled { p: si.p, n: si.horizon(), pdf, lights } };
         (self.receiver, self.drawn) = (si.instance, true);
         if !delta {
             self.cone.scattered(pdf);
-        }
-        if matches!(si.side, Side::Inside) && self.inside.contains(si.instance) {
-            self.cross()?;
-        } else {
-            self.depth += 1;
         }
         self.continue_from(si, wi);
         Some(())
@@ -319,13 +359,7 @@ impl Path<'_> {
         self.d = wi;
         self.t_max = f32::INFINITY;
         self.origin = Some((si.instance, si.triangle));
-    }
-
-    /// The objects around the path once it is inside `object` too.
-    fn enter(&mut self, object: Inside) -> Option<Nest> {
-        let nest = self.inside.entered(object);
-        self.stats.trapped += u64::from(nest.is_none());
-        nest
+        self.at = si.barycentric;
     }
 
     fn cross(&mut self) -> Option<()> {
@@ -376,6 +410,28 @@ impl Path<'_> {
 
     fn add(&mut self, light: Rgb) {
         add_to(&mut self.sample, self.bucket, self.throughput * light);
+    }
+}
+
+fn side_of(inside: &Nest, instance: u32) -> Side {
+    if inside.contains(instance) { Side::Inside } else { Side::Outside }
+}
+
+/// Whether a surface of `instance` is not there, for a path amid the bodies `inside`.
+fn hides(scene: &Scene, inside: &Nest, instance: u32, coating: &Coating) -> bool {
+    let Some(interior) = coating.interior.filter(|_| !inside.is_empty()) else { return false };
+    let priority = scene.instances[instance as usize].priority;
+    interior.boundary != Boundary::Diffuse && inside.hides(instance, priority, interior.boundary)
+}
+
+/// The bodies beyond the boundary at `si` for a path amid `inside`; `None` where they are too many.
+fn crossed(scene: &Scene, inside: &Nest, si: &Interaction, coating: &Coating) -> Option<Nest> {
+    match si.side {
+        Side::Inside => Some(inside.left(si.instance)),
+        Side::Outside => {
+            let priority = scene.instances[si.instance as usize].priority;
+            inside.entered(Inside::new(si.instance, si.surface, priority, coating.interior))
+        }
     }
 }
 

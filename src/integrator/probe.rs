@@ -37,6 +37,8 @@ pub fn probe(
     // What a dielectric reflects does not enter.
     let entering = |wi: Vec3| eta.map_or(1.0, |i| 1.0 - fresnel::dielectric(wi.dot(si.ng).min(1.0), i.eta));
     let n = si.ng;
+    let around =
+        if scene.needs.is_nested() { Nest::of(scene, &scene.around(si.p, si.instance)) } else { Nest::OUTSIDE };
     let mut record = Record {
         p: enclosure.point(hit),
         n,
@@ -68,7 +70,7 @@ pub fn probe(
         stats.shadow_rays += 1;
         let origin = Some((si.instance, si.triangle));
         let (o, reach) = (si.origin(light.wi), light.reach());
-        let visible = unshadowed * visibility(scene, light.light, o, light.wi, reach, origin, Nest::OUTSIDE);
+        let visible = unshadowed * visibility(scene, light.light, o, light.wi, reach, origin, &around);
         record.irradiance += visible;
         record.directions.push((light.wi, mean(visible)));
         record.lights.push(LightRecord { light: light.light, visible: mean(visible), unshadowed: mean(unshadowed) });
@@ -80,6 +82,7 @@ pub fn probe(
         let settings = PathSettings { max_depth: BOUNCES, lights_visible_to_camera: false };
         let mut path = Path::new(scene, guide, settings, stats);
         path.depth = 1;
+        path.inside = around;
         // Lights were asked for already: pdf 0 leaves nothing of those that the segment meets.
         path.previous = Previous::Sampled { p: si.p, n: Some(n), pdf: 0.0, lights: LightsAt::All };
         path.continue_from(&si, wi);

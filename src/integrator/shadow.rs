@@ -2,21 +2,30 @@
 
 use super::Path;
 use super::Previous;
-use super::nest::{Inside, Nest};
+use super::nest::Nest;
+use super::{crossed, hides, side_of};
 use crate::bsdf::{Boundary, Side};
 use crate::light::{SHORT, Shadow, ShapeHit};
 use crate::math::Rgb;
-use crate::scene::{Origin, Scene, SurfaceHit};
+use crate::scene::{Coating, Origin, Scene, SurfaceHit};
 use glam::Vec3;
 
 /// Faces that a shadow ray may pass before it counts as blocked.
 const MAX_LAYERS: u32 = 256;
 
 /// Share of `light` that reaches along (o, d) from distance `t_max`. `inside`: the objects around `o`.
-pub(super) fn visibility(scene: &Scene, light: u32, o: Vec3, d: Vec3, t_max: f32, origin: Origin, inside: Nest) -> Rgb {
+pub(super) fn visibility(
+    scene: &Scene,
+    light: u32,
+    o: Vec3,
+    d: Vec3,
+    t_max: f32,
+    origin: Origin,
+    inside: &Nest,
+) -> Rgb {
     match scene.lights.shadow(light) {
         None => transmittance(scene, o, d, t_max, origin, inside),
-        Some(shadow) => Ruled { scene, shadow, around: inside }.visibility(o, d, t_max, origin),
+        Some(shadow) => Ruled { scene, shadow, around: *inside }.visibility(o, d, t_max, origin),
     }
 }
 
@@ -27,42 +36,38 @@ pub(super) fn visibility_beyond(
     hit: Option<SurfaceHit>,
     d: Vec3,
     t_max: f32,
-    inside: Nest,
+    inside: &Nest,
 ) -> Rgb {
     match scene.lights.shadow(light) {
         None => transmittance_beyond(scene, hit, d, t_max, inside),
-        Some(shadow) => Ruled { scene, shadow, around: inside }.beyond(hit, d, t_max),
+        Some(shadow) => Ruled { scene, shadow, around: *inside }.beyond(hit, d, t_max),
     }
 }
 
 /// Share of light that reaches along (o, d) from distance `t_max`: 0 or 1 past opaque things, opacity and
 /// index-matched media in between. `inside`: the objects around `o`.
-fn transmittance(scene: &Scene, o: Vec3, d: Vec3, t_max: f32, origin: Origin, inside: Nest) -> Rgb {
-    if !scene.needs.transparency && inside.medium().is_none() {
+fn transmittance(scene: &Scene, o: Vec3, d: Vec3, t_max: f32, origin: Origin, inside: &Nest) -> Rgb {
+    if !scene.needs.transparency && inside.is_empty() {
         return if scene.occluded(o, d, t_max, origin) { Rgb::ZERO } else { Rgb::ONE };
     }
     transmittance_beyond(scene, scene.closest(o, d, t_max, origin), d, t_max, inside)
 }
 
 /// [`transmittance`] of a ray whose first surface is `hit`.
-fn transmittance_beyond(scene: &Scene, mut hit: Option<SurfaceHit>, d: Vec3, t_max: f32, mut inside: Nest) -> Rgb {
-    let mut left = t_max;
+fn transmittance_beyond(scene: &Scene, mut hit: Option<SurfaceHit>, d: Vec3, t_max: f32, inside: &Nest) -> Rgb {
+    let (mut left, mut inside) = (t_max, *inside);
     let mut passed = Rgb::ONE;
     for _ in 0..MAX_LAYERS {
         passed *= inside.transmittance(hit.map_or(left, |hit| hit.t));
         let Some(at) = hit else { return passed };
-        let within = inside.contains(at.instance);
-        let mut si = scene.interaction(&at, d, if within { Side::Inside } else { Side::Outside });
+        let mut si = scene.interaction(&at, d, side_of(&inside, at.instance));
         // The edge of a cut-out is that of its finest level.
         let coating = scene.shade(&mut si, 0.0);
-        match coating.interior.filter(|interior| interior.boundary == Boundary::IndexMatched) {
-            Some(_) if within => inside = inside.left(at.instance),
-            Some(interior) => {
-                let object = Inside { instance: at.instance, medium: Some(interior.medium) };
-                let Some(nest) = inside.entered(object) else { return Rgb::ZERO };
-                inside = nest;
-            }
-            None => passed *= coating.surface.transparency(si.frame.n.dot(d).abs()),
+        if is_passed(scene, &inside, at.instance, &coating) {
+            let Some(nest) = crossed(scene, &inside, &si, &coating) else { return Rgb::ZERO };
+            inside = nest;
+        } else {
+            passed *= coating.surface.transparency(si.frame.n.dot(d).abs());
         }
         if passed.max_element() <= 0.0 {
             return Rgb::ZERO;
@@ -71,6 +76,12 @@ fn transmittance_beyond(scene: &Scene, mut hit: Option<SurfaceHit>, d: Vec3, t_m
         hit = scene.closest(si.origin(d), d, left, Some((at.instance, at.triangle)));
     }
     Rgb::ZERO
+}
+
+/// Whether light goes straight on through a surface of `instance`, into or out of it.
+fn is_passed(scene: &Scene, inside: &Nest, instance: u32, coating: &Coating) -> bool {
+    let matched = coating.interior.is_some_and(|interior| interior.boundary == Boundary::IndexMatched);
+    matched || hides(scene, inside, instance, coating)
 }
 
 /// Shadows by the rules of a light.
@@ -103,7 +114,7 @@ impl Ruled<'_> {
         for _ in 0..MAX_LAYERS {
             let until = hit.map_or(t_max - way, |hit| hit.t);
             let through = inside.transmittance(until);
-            if inside.innermost().is_some_and(|i| !self.around.contains(i)) {
+            if inside.top().is_some_and(|body| !self.around.contains(body.instance)) {
                 lit *= self.dimmed(through, way);
             } else {
                 entering *= through;
@@ -111,20 +122,14 @@ impl Ruled<'_> {
             way += until;
             let done = entering.max_element() <= 0.0 || lit.max_element() <= 0.0 && inside.medium().is_none();
             let Some(at) = hit.filter(|_| !done) else { return entering * self.shadow.shown(lit) };
-            let within = inside.contains(at.instance);
-            let mut si = scene.interaction(&at, d, if within { Side::Inside } else { Side::Outside });
+            let mut si = scene.interaction(&at, d, side_of(&inside, at.instance));
             let coating = scene.shade(&mut si, 0.0);
-            match coating.interior.filter(|interior| interior.boundary == Boundary::IndexMatched) {
-                Some(_) if within => inside = inside.left(at.instance),
-                Some(interior) => {
-                    let object = Inside { instance: at.instance, medium: Some(interior.medium) };
-                    let Some(nest) = inside.entered(object) else { return Rgb::ZERO };
-                    inside = nest;
-                }
-                None => {
-                    let through = coating.surface.transparency(si.frame.n.dot(d).abs());
-                    if within { entering *= through } else { lit *= self.dimmed(through, way) }
-                }
+            if is_passed(scene, &inside, at.instance, &coating) {
+                let Some(nest) = crossed(scene, &inside, &si, &coating) else { return Rgb::ZERO };
+                inside = nest;
+            } else {
+                let through = coating.surface.transparency(si.frame.n.dot(d).abs());
+                if si.side == Side::Inside { entering *= through } else { lit *= self.dimmed(through, way) }
             }
             hit = self.closest(si.origin(d), d, t_max - way, Some((at.instance, at.triangle)));
         }
@@ -191,7 +196,7 @@ impl Path<'_> {
             return;
         }
         self.stats.shadow_rays += 1;
-        let visible = visibility(self.scene, light, self.o, self.d, reach, self.origin, self.inside);
+        let visible = visibility(self.scene, light, self.o, self.d, reach, self.origin, &self.inside);
         self.add(seen * visible);
     }
 }

@@ -135,13 +135,14 @@ impl Lights {
         self.camera_visible[light as usize]
     }
 
+    /// Whether surfaces of the scene are the light's.
+    pub fn is_mesh(&self, light: u32) -> bool {
+        matches!(self.lights[light as usize], Light::Area(AreaLight { shape: Shape::Mesh(_), .. }))
+    }
+
     /// The light that the mesh of this key is.
     pub fn mesh_light(&self, mesh: &str) -> Option<u32> {
         self.meshes.get(mesh).copied()
-    }
-
-    pub fn is_mesh(&self, light: u32) -> bool {
-        matches!(&self.lights[light as usize], Light::Area(AreaLight { shape: Shape::Mesh(_), .. }))
     }
 
     /// A light drawn by its estimated contribution at `p`, as [`Draws::sample`] does. `n` is the normal of a receiver that takes

@@ -137,7 +137,7 @@ impl<'a> BoundaryOf<'a> {
             let mut stats = PathStats::default();
             let u = (f64::from(i) + f64::from(sampler.random())) / f64::from(count);
             let triangle = self.triangles[self.areas.sample(u.min(1.0 - 1e-12)).0];
-            let hit = uniform_point(triangle, Vec2::new(sampler.random(), sampler.random()));
+            let hit = uniform_point(self.instance, triangle, Vec2::new(sampler.random(), sampler.random()));
             (self.probe(guide, &hit, area, &mut sampler, &mut stats), stats)
         };
         collect((0..count).into_par_iter().map(record))
@@ -246,9 +246,9 @@ impl<'a> BoundaryOf<'a> {
 }
 
 /// Uniform over a triangle (Heitz 2019 is not needed: no stratification to keep).
-fn uniform_point(triangle: u32, u: Vec2) -> BoundaryHit {
+fn uniform_point(instance: u32, triangle: u32, u: Vec2) -> BoundaryHit {
     let s = u.x.sqrt();
-    BoundaryHit { triangle, u: 1.0 - s, v: u.y * s }
+    BoundaryHit { instance, triangle, u: 1.0 - s, v: u.y * s }
 }
 
 fn collect(found: impl IndexedParallelIterator<Item = (Record, PathStats)>) -> (Vec<Record>, PathStats) {

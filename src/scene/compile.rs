@@ -1,9 +1,10 @@
 //! From the flattened scene to the compiled one: geometry is kept from commit to commit, the rest is cheap.
 
 use super::accel::{Aabb, Tlas};
+use super::company::companies;
 use super::displace::Displacement;
 use super::image::{ImageCache, build_images};
-use super::{Coating, Driven, Geometry, Instance, InstancePrimvars, Interior, Needs, Scene};
+use super::{Coating, Driven, Geometry, Instance, InstancePrimvars, Interior, Needs, Scene, nesting};
 use crate::bsdf::{self, Boundary, InteriorAlbedo, OfMesh, Surface};
 use crate::camera::Camera;
 use crate::error::{Error, Result, Warning};
@@ -72,20 +73,22 @@ pub fn compile(flat: &FlatScene, kept: &mut Kept, warnings: &mut Vec<Warning>) -
     build_images(&flat.images, images);
     let blas_built = build_geometry(flat, images, cache);
 
-    let (needs, surfaces, known) = (Needs::default(), Vec::new(), SurfaceCache::new());
-    let mut builder = Builder { flat, origin: camera.origin, images, warnings, needs, surfaces, known, former };
+    let (needs, surfaces, known, sets) = (Needs::default(), Vec::new(), SurfaceCache::new(), BTreeMap::new());
+    let mut builder = Builder { flat, origin: camera.origin, images, warnings, needs, surfaces, known, former, sets };
     let (mut instances, emitters) = builder.place(cache);
     let mut lights = builder.lights(&mut instances, emitters);
     let members = builder.link(&mut instances, &mut lights);
     let has_ruled_meshes = lights.ruled().any(|light| lights.is_mesh(light));
     builder.count(&camera, &instances, &lights);
     builder.note_missing_primvars(&instances);
-    let (surfaces, needs) = (builder.surfaces, builder.needs);
+    let (surfaces, needs, sets) = (builder.surfaces, builder.needs, builder.sets);
     kept.surfaces = builder.known;
 
     let boxes: Vec<Aabb> = instances.iter().map(render_bounds).collect();
     let shapes: Vec<(u32, Aabb)> = lights.shapes().map(|(light, (min, max))| (light, Aabb { min, max })).collect();
-    let scene = Scene {
+    let mut scene = Scene {
+        companies: companies(&instances, &boxes, &surfaces, &lights, &sets),
+        camera_within: Vec::new(),
         tlas: Tlas::build(&boxes),
         light_tlas: Tlas::build(&shapes.iter().map(|s| s.1).collect::<Vec<_>>()),
         light_shapes: shapes.iter().map(|s| s.0).collect(),
@@ -97,6 +100,7 @@ pub fn compile(flat: &FlatScene, kept: &mut Kept, warnings: &mut Vec<Warning>) -
         members,
         needs,
     };
+    nesting::look_around(&mut scene, flat, warnings);
     let stats = CompileStats {
         blas_built,
         instances: scene.instances.len(),
@@ -162,6 +166,8 @@ struct Builder<'a> {
     known: SurfaceCache,
     /// Of the compilation before; what this one has no use for is dropped with it.
     former: &'a mut SurfaceCache,
+    /// Instances by the set that their mesh is declared to be in.
+    sets: BTreeMap<String, Vec<u32>>,
 }
 
 impl Builder<'_> {
@@ -183,6 +189,8 @@ impl Builder<'_> {
             self.note_refinement(path, geometry);
             self.note_displacement(path, geometry);
             let surfaces = self.coat(path, mesh, geometry);
+            let priority = self.priority(mesh);
+            self.note_set(path, mesh, surfaces, instances.len()..instances.len() + placements.len());
             self.needs.meshes += 1;
             self.needs.triangles += geometry.triangles.len() as u64;
             self.needs.instanced += placements.len() as u32 - 1;
@@ -193,6 +201,7 @@ impl Builder<'_> {
                     geometry: geometry.clone(),
                     to_render,
                     surfaces,
+                    priority,
                     prim_id: prim_id as i32,
                     light: None,
                     display_color,
@@ -207,6 +216,29 @@ impl Builder<'_> {
             }
         }
         (instances, emitters)
+    }
+
+    /// The mesh's own, else the highest of its materials.
+    fn priority(&self, mesh: &flat::Mesh) -> i32 {
+        let subsets = mesh.geom_subsets.iter().map(|subset| &subset.material);
+        let materials = std::iter::once(&mesh.material).chain(subsets);
+        let authored = materials.filter_map(|material| self.flat.materials.get(material)).map(flat::Material::priority);
+        mesh.medium_priority.unwrap_or_else(|| authored.max().unwrap_or(0))
+    }
+
+    /// Notes the set that `placements` of a mesh are in; its surfaces are the last that were compiled.
+    fn note_set(&mut self, path: &str, mesh: &flat::Mesh, surfaces: u32, placements: std::ops::Range<usize>) {
+        if mesh.subsurface_set.is_empty() {
+            return;
+        }
+        let interiors = self.surfaces[surfaces as usize..].iter().filter_map(|coating| coating.interior);
+        if !interiors.into_iter().any(|interior| interior.boundary == Boundary::Diffuse) {
+            let message = "primvars:dermis:subsurfaceSet: it has no medium behind a diffuse boundary, so there is no \
+                           interior to share; it is ignored";
+            self.warnings.push(Warning::new(path, message));
+            return;
+        }
+        self.sets.entry(mesh.subsurface_set.clone()).or_default().extend(placements.map(|i| i as u32));
     }
 
     fn note_refinement(&mut self, path: &str, geometry: &Geometry) {
@@ -498,7 +530,8 @@ pub(super) fn compile_interior(interior: &bsdf::Interior) -> Interior {
     };
     let radius = interior.radius.max(Rgb::splat(MIN_MEAN_FREE_PATH));
     // An infinite mean free path is a vacuum: 1 / inf = 0.
-    Interior { boundary: interior.boundary, medium: Medium { sigma_t: 1.0 / radius, albedo, g: interior.g } }
+    let medium = Medium { sigma_t: 1.0 / radius, albedo, g: interior.g };
+    Interior { boundary: interior.boundary, index: interior.eta, medium }
 }
 
 #[cfg(test)]

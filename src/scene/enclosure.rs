@@ -1,5 +1,7 @@
-//! A mesh instance as the boundary of a medium: what a subsurface walk needs of a scene.
+//! A mesh instance as the boundary of a medium, alone or in company: what a subsurface walk needs of a scene.
 
+use super::accel::Ray;
+use super::company::{Company, Objects};
 use super::{Instance, Scene, SurfaceHit};
 use crate::subsurface::steps::Enclosure;
 use glam::{DMat3, DVec3, Mat3, Vec3};
@@ -7,41 +9,82 @@ use glam::{DMat3, DVec3, Mat3, Vec3};
 /// Walk space: render space relative to the instance's origin, so that positions are as small as the
 /// object, however far it is from the camera. Lengths are stage units.
 pub struct InstanceEnclosure<'a> {
+    scene: &'a Scene,
     instance: &'a Instance,
     index: u32,
+    company: Option<&'a Company>,
     /// Half size of the bounding box in walk space.
     extent: Vec3,
     error: f32,
 }
 
-/// A boundary point: triangle and barycentrics.
+/// A boundary point: triangle and barycentrics. The instance is that of the body or of its company.
 #[derive(Debug, Clone, Copy)]
 pub struct BoundaryHit {
+    pub instance: u32,
     pub triangle: u32,
     pub u: f32,
     pub v: f32,
 }
 
 impl BoundaryHit {
-    /// Without its instance, whose boundary it is on.
     pub fn of(hit: &SurfaceHit) -> Self {
-        Self { triangle: hit.triangle, u: hit.u, v: hit.v }
+        Self { instance: hit.instance, triangle: hit.triangle, u: hit.u, v: hit.v }
     }
 }
+
+/// A guest's surface this many position errors before the boundary is on it: what only touches is not seen.
+const TIE: f32 = 4.0;
+
+/// Surfaces that a ray through a set may cross.
+const MOST_CROSSINGS: usize = 4096;
 
 impl<'a> InstanceEnclosure<'a> {
     pub fn new(scene: &'a Scene, index: u32) -> Self {
         let instance = &scene.instances[index as usize];
-        let bounds = instance.geometry.blas.bounds();
-        let extent = instance.to_render.linear.abs() * bounds.min.abs().max(bounds.max.abs());
+        let company = scene.company(index);
+        let mut extent = extent(instance);
+        if let Some(Company::Set(objects)) = company {
+            let reach = |i: &u32| {
+                let of = &scene.instances[*i as usize];
+                (of.to_render.translation - instance.to_render.translation).abs() + self::extent(of)
+            };
+            extent = objects.instances.iter().map(reach).fold(extent, Vec3::max);
+        }
         // A few ulps of the largest coordinate: barycentrics, the linear map and sums of segments.
-        Self { instance, index, extent, error: 4.0 * f32::EPSILON * extent.max_element() }
+        let error = 4.0 * f32::EPSILON * extent.max_element();
+        Self { scene, instance, index, company, extent, error }
     }
 
     /// Walk-space position of a boundary point, from its triangle (not from a rounded ray).
     pub fn point(&self, hit: &BoundaryHit) -> Vec3 {
-        let [a, b, c] = self.instance.geometry.corners(hit.triangle);
-        self.instance.to_render.linear * (a * (1.0 - hit.u - hit.v) + b * hit.u + c * hit.v)
+        let of = &self.scene.instances[hit.instance as usize];
+        let [a, b, c] = of.geometry.corners(hit.triangle);
+        let p = of.to_render.linear * (a * (1.0 - hit.u - hit.v) + b * hit.u + c * hit.v);
+        if hit.instance == self.index { p } else { p + self.shift(of) }
+    }
+
+    /// The same in the walk space of the instance that is hit.
+    pub fn point_of_hit(&self, hit: &BoundaryHit) -> Vec3 {
+        let p = self.point(hit);
+        if hit.instance == self.index { p } else { p - self.shift(&self.scene.instances[hit.instance as usize]) }
+    }
+
+    /// Unit normal of the triangle, by its winding.
+    pub fn normal(&self, hit: &BoundaryHit) -> Vec3 {
+        let of = &self.scene.instances[hit.instance as usize];
+        let [a, b, c] = of.geometry.corners(hit.triangle);
+        of.to_render.normal((b - a).cross(c - a)).normalize_or(Vec3::Z)
+    }
+
+    /// Origin of another instance in walk space.
+    fn shift(&self, of: &Instance) -> Vec3 {
+        of.to_render.translation - self.instance.to_render.translation
+    }
+
+    /// Whether there are lights in the medium.
+    pub fn lights_within(&self) -> bool {
+        matches!(self.company, Some(Company::Guests { lights: true, .. }))
     }
 
     /// The surface point closest to `p`, both in walk space, distances too; `None` without finite triangles.
@@ -52,16 +95,97 @@ impl<'a> InstanceEnclosure<'a> {
         } else {
             blas.closest_point_under(&m.linear, least_stretch(&m.inverse), m.inverse * p)
         }?;
-        Some(self.point(&BoundaryHit { triangle: found.triangle, u: found.u, v: found.v }))
+        Some(self.point(&BoundaryHit { instance: self.index, triangle: found.triangle, u: found.u, v: found.v }))
+    }
+
+    fn cast_alone(&self, p: Vec3, d: Vec3, t_max: f32, from: Option<BoundaryHit>) -> Option<(f32, BoundaryHit)> {
+        let ray = self.instance.local_ray(p, d, t_max);
+        let hit = self.instance.geometry.blas.closest_skip(&ray, skipped(from, self.index))?;
+        Some((hit.t, BoundaryHit { instance: self.index, triangle: hit.triangle, u: hit.u, v: hit.v }))
+    }
+
+    /// The first surface of `objects`, and which of them it is.
+    fn nearest(
+        &self,
+        objects: &Objects,
+        p: Vec3,
+        d: Vec3,
+        t_max: f32,
+        from: Option<BoundaryHit>,
+    ) -> Option<(f32, BoundaryHit, usize)> {
+        let mut found = None;
+        objects.tlas.traverse(&mut Ray { o: self.to_render(p), d, t_max }, |i, ray| {
+            let instance = objects.instances[i as usize];
+            let of = &self.scene.instances[instance as usize];
+            let local = of.local_ray(p - self.shift(of), d, ray.t_max);
+            if let Some(hit) = of.geometry.blas.closest_skip(&local, skipped(from, instance)) {
+                ray.t_max = hit.t;
+                let at = BoundaryHit { instance, triangle: hit.triangle, u: hit.u, v: hit.v };
+                found = Some((hit.t, at, i as usize));
+            }
+            false
+        });
+        found
+    }
+
+    /// Where the ray leaves the union of `objects`: outward, with none of the others around.
+    fn cast_union(
+        &self,
+        objects: &Objects,
+        p: Vec3,
+        d: Vec3,
+        t_max: f32,
+        mut from: Option<BoundaryHit>,
+    ) -> Option<(f32, BoundaryHit)> {
+        let mut passed = 0.0;
+        for _ in 0..MOST_CROSSINGS {
+            let (t, hit, at) = self.nearest(objects, p + passed * d, d, t_max - passed, from)?;
+            passed += t;
+            from = Some(hit);
+            let out = objects.outward[at] * self.normal(&hit).dot(d) > 0.0;
+            if out && self.winding(objects, p + passed * d, d, hit) == 0 {
+                return Some((passed, hit));
+            }
+        }
+        None
+    }
+
+    /// How many of `objects` are around the point just beyond `from` along `d`: surfaces left less those entered on the
+    /// way out of everything.
+    fn winding(&self, objects: &Objects, p: Vec3, d: Vec3, from: BoundaryHit) -> i32 {
+        let (mut p, mut from, mut winding) = (p, from, 0);
+        for _ in 0..MOST_CROSSINGS {
+            // A crossing on an edge counts once: the next begins a rounding error later.
+            p += self.error * d;
+            let Some((t, hit, at)) = self.nearest(objects, p, d, f32::INFINITY, Some(from)) else { break };
+            winding += if objects.outward[at] * self.normal(&hit).dot(d) > 0.0 { 1 } else { -1 };
+            (p, from) = (p + t * d, hit);
+        }
+        winding
     }
 
     pub fn to_render(&self, p: Vec3) -> Vec3 {
         p + self.instance.to_render.translation
     }
 
-    pub fn surface_hit(&self, hit: &BoundaryHit) -> SurfaceHit {
-        SurfaceHit { t: 0.0, instance: self.index, triangle: hit.triangle, u: hit.u, v: hit.v }
+    pub fn to_walk(&self, p: Vec3) -> Vec3 {
+        p - self.instance.to_render.translation
     }
+
+    pub fn surface_hit(&self, hit: &BoundaryHit) -> SurfaceHit {
+        SurfaceHit { t: 0.0, instance: hit.instance, triangle: hit.triangle, u: hit.u, v: hit.v }
+    }
+}
+
+/// The triangle of `instance` that a ray from there leaves out.
+fn skipped(from: Option<BoundaryHit>, instance: u32) -> u32 {
+    from.filter(|from| from.instance == instance).map_or(u32::MAX, |from| from.triangle)
+}
+
+/// Half size of a box about the origin of an instance that holds it.
+fn extent(instance: &Instance) -> Vec3 {
+    let bounds = instance.geometry.blas.bounds();
+    instance.to_render.linear.abs() * bounds.min.abs().max(bounds.max.abs())
 }
 
 /// Lower bound of |M v| / |v|, from the inverse of M: exact for similarities, never below 0.86 of the least singular
@@ -79,10 +203,16 @@ impl Enclosure for InstanceEnclosure<'_> {
     type Hit = BoundaryHit;
 
     fn cast(&self, p: Vec3, d: Vec3, t_max: f32, from: Option<BoundaryHit>) -> Option<(f32, BoundaryHit)> {
-        let ray = self.instance.local_ray(p, d, t_max);
-        let skip = from.map_or(u32::MAX, |hit| hit.triangle);
-        let hit = self.instance.geometry.blas.closest_skip(&ray, skip)?;
-        Some((hit.t, BoundaryHit { triangle: hit.triangle, u: hit.u, v: hit.v }))
+        match self.company {
+            None => self.cast_alone(p, d, t_max, from),
+            Some(Company::Set(objects)) => self.cast_union(objects, p, d, t_max, from),
+            Some(Company::Guests { objects, .. }) => {
+                let own = self.cast_alone(p, d, t_max, from);
+                let limit = own.map_or(t_max, |(t, _)| t - TIE * self.error);
+                let guest = self.nearest(objects, p, d, limit, from);
+                guest.map(|(t, hit, _)| (t, hit)).or(own)
+            }
+        }
     }
 
     fn bounds_contain(&self, p: Vec3) -> bool {

@@ -1,6 +1,7 @@
 //! The compiled scene: immutable, in render space (world translated to the camera), ready for rays.
 
 pub mod accel;
+mod company;
 mod compile;
 mod displace;
 mod driven;
@@ -8,10 +9,12 @@ mod enclosure;
 mod geometry;
 mod image;
 mod needs;
+mod nesting;
 mod network;
 mod paged;
 mod strands;
 
+pub use company::Around;
 pub use compile::{CompileStats, Kept, compile};
 pub use driven::Driven;
 pub use enclosure::{BoundaryHit, InstanceEnclosure};
@@ -36,6 +39,8 @@ use std::sync::Arc;
 #[derive(Debug, Clone, Copy)]
 pub struct Interior {
     pub boundary: Boundary,
+    /// Of refraction, against vacuum; 1 if index-matched.
+    pub index: f32,
     pub medium: Medium,
 }
 
@@ -49,6 +54,8 @@ pub struct Instance {
     pub to_render: Affine,
     /// First of its surfaces in `Scene::surfaces`, one per material slot.
     pub surfaces: u32,
+    /// Of its medium where bodies overlap: higher wins.
+    pub priority: i32,
     pub prim_id: i32,
     /// Light and index of its first triangle there, if the mesh is a light.
     pub light: Option<(u32, u32)>,
@@ -99,6 +106,9 @@ pub struct Scene {
     pub has_ruled_meshes: bool,
     light_shapes: Vec<u32>,
     light_tlas: Tlas,
+    companies: company::Companies,
+    /// Bodies that the camera is in, outermost first.
+    pub camera_within: Vec<Around>,
     pub needs: Needs,
 }
 
@@ -150,6 +160,16 @@ impl Scene {
     /// Whether anything emits light.
     pub fn is_lit(&self) -> bool {
         !self.lights.is_empty() || self.surfaces.iter().any(|coating| coating.surface.emission() != Vec3::ZERO)
+    }
+
+    /// What else a walk in an instance meets; `None`: its boundary alone.
+    fn company(&self, instance: u32) -> Option<&company::Company> {
+        self.companies.get(instance as usize)?.as_deref()
+    }
+
+    /// Whether a walk in `instance` has its boundary alone to meet, and no light.
+    pub fn is_alone(&self, instance: u32) -> bool {
+        self.company(instance).is_none_or(|company| matches!(company, company::Company::Set(_)))
     }
 
     /// An instance of the mesh that wears `surface`, an index of `surfaces`.

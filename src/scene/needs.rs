@@ -39,6 +39,12 @@ pub struct Needs {
     pub index_matched_media: u32,
     /// Dielectric interiors without scattering: Beer-Lambert only, no walk.
     pub clear_media: u32,
+    /// Instances with a scattering medium that something else is in, or overlaps.
+    pub hosts: u32,
+    /// Instances that share an interior with others of their set.
+    pub in_sets: u32,
+    /// Bodies that the camera is in.
+    pub around_camera: u32,
     pub rgb_media: bool,
     pub anisotropic_media: bool,
     /// Surfaces that shadow rays pass, wholly or in part.
@@ -58,6 +64,12 @@ pub struct Explanation {
 impl Needs {
     pub fn walks(&self) -> bool {
         self.diffuse_media + self.dielectric_media + self.index_matched_media > 0
+    }
+
+    /// Whether bodies that light gets into may be around others.
+    pub fn is_nested(&self) -> bool {
+        let open = self.clear_media + self.dielectric_media + self.index_matched_media;
+        open > 0 && open + self.diffuse_media > 1
     }
 
     fn subdivision(&self) -> String {
@@ -117,6 +129,24 @@ impl Needs {
                 self.index_matched_media > 0,
                 "index-matched boundaries let light straight in".into(),
                 "no index-matched boundary",
+            ),
+            line(
+                "media with objects in them",
+                self.hosts > 0,
+                count(self.hosts, "scattering media: walks in them meet what is within, too"),
+                "nothing reaches into a scattering medium behind a dielectric or index-matched boundary",
+            ),
+            line(
+                "subsurface sets",
+                self.in_sets > 0,
+                count(self.in_sets, "placements share their interior with others of one subsurfaceSet"),
+                "no two meshes with a diffuse boundary are of one subsurfaceSet",
+            ),
+            line(
+                "camera in a medium",
+                self.around_camera > 0,
+                count(self.around_camera, "bodies around the middle of the near plane"),
+                "the camera is in no body",
             ),
             line(
                 "transparent shadows",

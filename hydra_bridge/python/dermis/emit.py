@@ -12,7 +12,7 @@ from .instancer import Matrices, Placements, nested
 from .light import flatten_light
 from .linking import Links
 from .material import flatten_material
-from .mesh import MESH_TYPES, flatten_mesh, flatten_read_primvars, flatten_subsets
+from .mesh import MESH_TYPES, flatten_mesh, flatten_read_primvars, flatten_subsets, of_medium
 from .points import flatten_points
 from .reading import Reader
 from .shaders import HAIR
@@ -114,7 +114,8 @@ class Emitter:
             return
         key = f"{found.key}.points"
         fields = {"type": "Mesh", "visible": found.context.visible, "material": "", "instancer": key}
-        mesh = self.prims[found.key] = {**fields, **spheres.mesh}
+        medium = of_medium(found.prim, found.context.inherited(), self.reader)
+        mesh = self.prims[found.key] = {**fields, **spheres.mesh, **medium}
         self.categorize(found, mesh)
         self.bindables.append((found.prim, mesh))
         colors = {} if spheres.colors is None else {"displayColor": spheres.colors}

@@ -47,6 +47,8 @@ MESH_BITS = {
     "normals": DirtyBits.NORMALS,
     "visible": DirtyBits.VISIBILITY,
     "material": DirtyBits.MATERIAL_ID,
+    "mediumPriority": DirtyBits.MATERIAL_ID,
+    "subsurfaceSet": DirtyBits.MATERIAL_ID,
     "doubleSided": DirtyBits.DOUBLE_SIDED,
     "instancer": DirtyBits.INSTANCER,
     "categories": DirtyBits.CATEGORIES,

@@ -17,7 +17,10 @@ PRIMVARS = {"displayColor": ("displayColor", 3), "displayOpacity": ("displayOpac
 REFINE_LEVEL = "dermis:refineLevel"
 """A constant primvar, which a group hands down to its meshes."""
 
-INHERITED_PRIMVARS = (*PRIMVARS, REFINE_LEVEL)
+MEDIUM_PRIORITY, SUBSURFACE_SET = "dermis:mediumPriority", "dermis:subsurfaceSet"
+"""As above: which body fills an overlap, and which bodies share their interior."""
+
+INHERITED_PRIMVARS = (*PRIMVARS, REFINE_LEVEL, MEDIUM_PRIORITY, SUBSURFACE_SET)
 
 MAX_LEVEL = 8
 
@@ -55,7 +58,8 @@ def flatten_mesh(
     """Fields of `flat::Mesh` except transform, visibility and material; None where there is nothing to
     render."""
     if kind == "BasisCurves":
-        return curves(prim, reader, inherited)
+        surface = curves(prim, reader, inherited)
+        return surface and {**surface, **of_medium(prim, inherited, reader)}
     if kind == "Mesh":
         mesh = polygons(prim, reader)
         if mesh is not None:
@@ -70,7 +74,7 @@ def flatten_mesh(
         return None
     mesh["doubleSided"] = reader.value(prim, "doubleSided", kind == "Plane")
     add_primvars(prim, kind, mesh, reader, inherited)
-    return mesh
+    return mesh | of_medium(prim, inherited, reader)
 
 
 def curves(prim: Usd.Prim, reader: Reader, inherited: Inherited) -> dict[str, Any] | None:
@@ -136,13 +140,27 @@ def subdiv_tags(prim: Usd.Prim, reader: Reader) -> dict[str, Any]:
     return tags
 
 
+def handed_down(prim: Usd.Prim, name: str, default: Any, inherited: Inherited, reader: Reader) -> Any:
+    """A constant primvar of the prim or an ancestor, of the type of `default`, which it is where the value is none;
+    None: not authored."""
+    own = UsdGeom.PrimvarsAPI(prim).GetPrimvar(name)
+    primvar = own if own and own.HasAuthoredValue() else inherited.get(name)
+    return None if primvar is None else reader.coerced(prim, f"primvars:{name}", primvar.Get(reader.time), default)
+
+
+def of_medium(prim: Usd.Prim, inherited: Inherited, reader: Reader) -> dict[str, Any]:
+    """What a prim says of the medium within it."""
+    priority = handed_down(prim, MEDIUM_PRIORITY, 0, inherited, reader)
+    shared = handed_down(prim, SUBSURFACE_SET, "", inherited, reader)
+    fields: dict[str, Any] = {} if priority is None else {"mediumPriority": priority}
+    return fields | ({"subsurfaceSet": shared} if shared else {})
+
+
 def refine_level(prim: Usd.Prim, inherited: Inherited, reader: Reader) -> int | None:
     """`primvars:dermis:refineLevel` of the prim or an ancestor; None: that of the render settings."""
-    own = UsdGeom.PrimvarsAPI(prim).GetPrimvar(REFINE_LEVEL)
-    primvar = own if own and own.HasAuthoredValue() else inherited.get(REFINE_LEVEL)
-    if primvar is None:
+    level = handed_down(prim, REFINE_LEVEL, -1, inherited, reader)
+    if level is None:
         return None
-    level = reader.coerced(prim, f"primvars:{REFINE_LEVEL}", primvar.Get(reader.time), -1)
     if 0 <= level <= MAX_LEVEL:
         return level
     reader.warn(prim, f"primvars:{REFINE_LEVEL}: {level} is none of 0 to {MAX_LEVEL}; it is ignored")

@@ -48,6 +48,7 @@ PREVIEW_SURFACE = Shader(
         "subsurfaceAnisotropy": 0.0,
         "subsurfaceBoundary": "diffuse",
         "subsurfaceAlbedo": WHITE,
+        "subsurfacePriority": 0,
     },
     {},
     # Occlusion is for rasterisers: a path tracer computes it. Displacement is what outputs:displacement leads to.

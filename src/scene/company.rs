@@ -1,0 +1,247 @@
+//! What else a walk meets inside an instance: objects and lights within its medium, or the objects that share its
+//! interior. Found at compile, by boxes: most bodies have no company, and their walks never ask.
+
+use super::accel::{Aabb, Tlas};
+use super::{Coating, Instance};
+use crate::bsdf::Boundary;
+use crate::light::Lights;
+use glam::Vec3;
+use rayon::prelude::*;
+use rustc_hash::FxHashMap;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// Placed objects, and what finds those that a ray may meet.
+pub struct Objects {
+    pub instances: Vec<u32>,
+    /// -1 where the mesh is inside out.
+    pub outward: Vec<f32>,
+    /// Render space.
+    pub tlas: Tlas,
+}
+
+impl Objects {
+    fn new(ids: Vec<u32>, instances: &[Instance], boxes: &[Aabb]) -> Self {
+        let of = |i: &u32| boxes[*i as usize];
+        let outward = ids.iter().map(|&i| outward(&instances[i as usize])).collect();
+        Self { tlas: Tlas::build(&ids.iter().map(of).collect::<Vec<_>>()), outward, instances: ids }
+    }
+}
+
+/// The company of one instance.
+pub enum Company {
+    /// Light passes from the medium to what is in it: a walk ends at the `objects`, too. `lights`: some are within.
+    Guests { objects: Objects, lights: bool },
+    /// Its diffuse boundary is that of the union with others: a walk leaves where it leaves them all.
+    Set(Arc<Objects>),
+}
+
+/// By instance; empty where no instance has any.
+pub type Companies = Vec<Option<Box<Company>>>;
+
+/// Roundings of a box's coordinates by which what only touches it is no guest.
+const TOUCHING: f32 = 16.0 * f32::EPSILON;
+
+/// What the surfaces of a mesh enclose.
+#[derive(Clone, Copy, Default)]
+struct Encloses {
+    /// A medium that scatters behind a boundary that light passes without being spread: its walks see what is within.
+    open: bool,
+    /// That boundary refracts.
+    bends: bool,
+    diffuse: bool,
+}
+
+/// `sets`: instances by the name of the set that they are declared to be in.
+pub fn companies(
+    instances: &[Instance],
+    boxes: &[Aabb],
+    surfaces: &[Coating],
+    lights: &Lights,
+    sets: &BTreeMap<String, Vec<u32>>,
+) -> Companies {
+    let mut known: FxHashMap<u32, Encloses> = FxHashMap::default();
+    let enclosed: Vec<Encloses> = instances
+        .iter()
+        .map(|instance| *known.entry(instance.surfaces).or_insert_with(|| encloses(instance, surfaces)))
+        .collect();
+    let mut found: Companies = if enclosed.iter().any(|of| of.open) {
+        let sweep = Sweep::new(boxes);
+        let shapes: Vec<Aabb> = lights.shapes().map(|(_, (min, max))| Aabb { min, max }).collect();
+        let guests = |i: usize| {
+            let of = enclosed[i].open.then_some(enclosed[i])?;
+            guests(i, of, instances, boxes, &sweep, &shapes)
+        };
+        (0..instances.len()).into_par_iter().map(guests).collect()
+    } else {
+        Vec::new()
+    };
+    for set in sets.values() {
+        let members: Vec<u32> = set.iter().copied().filter(|&i| enclosed[i as usize].diffuse).collect();
+        if members.len() > 1 {
+            found.resize_with(instances.len(), || None);
+            let objects = Arc::new(Objects::new(members.clone(), instances, boxes));
+            members.iter().for_each(|&i| found[i as usize] = Some(Box::new(Company::Set(objects.clone()))));
+        }
+    }
+    if found.iter().all(Option::is_none) { Vec::new() } else { found }
+}
+
+fn encloses(instance: &Instance, surfaces: &[Coating]) -> Encloses {
+    let mut all = Encloses::default();
+    for interior in instance.interiors(surfaces) {
+        all.diffuse |= interior.boundary == Boundary::Diffuse;
+        if interior.boundary != Boundary::Diffuse && interior.medium.scatters() {
+            all.open = true;
+            all.bends |= interior.boundary == Boundary::Dielectric;
+        }
+    }
+    all
+}
+
+fn guests(
+    i: usize,
+    of: Encloses,
+    instances: &[Instance],
+    boxes: &[Aabb],
+    sweep: &Sweep,
+    shapes: &[Aabb],
+) -> Option<Box<Company>> {
+    let within = shrunk(&boxes[i]);
+    let others = sweep.overlapping(&within, boxes);
+    let ids: Vec<u32> = others.filter(|&j| j as usize != i && reaches_into(&instances[j as usize], &within)).collect();
+    // Straight through a matched boundary every light is asked at collisions anyway.
+    let lights = ids.iter().any(|&j| instances[j as usize].light.is_some())
+        || of.bends && shapes.iter().any(|shape| overlap(shape, &within));
+    let objects = Objects::new(ids, instances, boxes);
+    (lights || !objects.instances.is_empty()).then(|| Box::new(Company::Guests { objects, lights }))
+}
+
+/// Instances sorted by where their boxes begin along x.
+struct Sweep {
+    order: Vec<u32>,
+    begins: Vec<f32>,
+    /// Of `order`, the furthest end so far.
+    ends: Vec<f32>,
+}
+
+impl Sweep {
+    fn new(boxes: &[Aabb]) -> Self {
+        let mut order: Vec<u32> = (0..boxes.len() as u32).collect();
+        let begin = |i: u32| boxes[i as usize].min.x;
+        order.sort_by(|&a, &b| begin(a).total_cmp(&begin(b)).then(a.cmp(&b)));
+        let mut furthest = f32::NEG_INFINITY;
+        let ends = order.iter().map(|&i| {
+            furthest = furthest.max(boxes[i as usize].max.x);
+            furthest
+        });
+        Self { ends: ends.collect(), begins: order.iter().map(|&i| begin(i)).collect(), order }
+    }
+
+    fn overlapping<'a>(&'a self, with: &'a Aabb, boxes: &'a [Aabb]) -> impl Iterator<Item = u32> + 'a {
+        let first = self.ends.partition_point(|&end| end < with.min.x);
+        let last = self.begins.partition_point(|&begin| begin <= with.max.x);
+        let between = self.order.get(first..last).unwrap_or(&[]);
+        between.iter().copied().filter(move |&i| overlap(&boxes[i as usize], with))
+    }
+}
+
+fn overlap(a: &Aabb, b: &Aabb) -> bool {
+    a.min.cmple(b.max).all() && b.min.cmple(a.max).all()
+}
+
+fn shrunk(of: &Aabb) -> Aabb {
+    let by = TOUCHING * of.min.abs().max(of.max.abs());
+    Aabb { min: of.min + by, max: of.max - by }
+}
+
+/// Whether a triangle of `instance` may have a point in a box: by its own box and by its plane (two of the three tests of
+/// Akenine-Moeller 2001; the third saves little).
+fn reaches_into(instance: &Instance, within: &Aabb) -> bool {
+    let (centre, half) = (within.centre(), within.extent() * 0.5);
+    let linear = instance.to_render.linear;
+    let shift = instance.to_render.translation - centre;
+    (0..instance.geometry.triangles.len() as u32).any(|triangle| {
+        let [a, b, c] = instance.geometry.corners(triangle).map(|p| linear * p + shift);
+        let (min, max) = (a.min(b).min(c), a.max(b).max(c));
+        let n = (b - a).cross(c - a);
+        min.cmple(half).all() && max.cmpge(-half).all() && n.dot(a).abs() <= n.abs().dot(half)
+    })
+}
+
+/// The sign of the volume that the winding of a mesh says it has.
+pub fn outward(instance: &Instance) -> f32 {
+    let corners = (0..instance.geometry.triangles.len() as u32).map(|t| instance.geometry.corners(t));
+    let volume: f32 = corners.map(|[a, b, c]| a.dot(b.cross(c))).sum();
+    if volume < 0.0 { -1.0 } else { 1.0 }
+}
+
+impl Instance {
+    /// What the surfaces that its triangles wear enclose.
+    pub(super) fn interiors<'a>(&self, surfaces: &'a [Coating]) -> impl Iterator<Item = &'a super::Interior> + use<'a> {
+        let slots = self.geometry.slots.as_ref().and_then(|slots| slots.iter().max()).map_or(0, |&slot| slot as usize);
+        let first = self.surfaces as usize;
+        surfaces[first..=first + slots].iter().filter_map(|coating| coating.interior.as_ref())
+    }
+}
+
+/// A body around a point.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Around {
+    pub instance: u32,
+    /// Where a ray from the point leaves it.
+    pub surface: u32,
+    t: f32,
+}
+
+/// No mesh is modelled along them.
+const PROBES: [Vec3; 3] =
+    [Vec3::new(0.269, 0.534, 0.802), Vec3::new(-0.843, 0.104, -0.527), Vec3::new(0.398, -0.875, 0.276)];
+
+/// Crossings of one ray with one mesh that are counted.
+const MOST_CROSSINGS: usize = 4096;
+
+impl super::Scene {
+    /// The bodies around `p` (render space) but for the instance `but`, outermost first: closed meshes with a medium.
+    pub fn around(&self, p: Vec3, but: u32) -> Vec<Around> {
+        let mut found = Vec::new();
+        // Boxes that hold the point are those that the shortest ray meets.
+        let mut ray = super::Ray { o: p, d: PROBES[0], t_max: f32::MIN_POSITIVE };
+        self.tlas.traverse(&mut ray, |i, _| {
+            let has_medium = self.instances[i as usize].interiors(&self.surfaces).next().is_some();
+            if i != but && has_medium {
+                found.extend(self.within(i, p));
+            }
+            false
+        });
+        // A ray leaves the inner one first.
+        found.sort_by(|a, b| b.t.total_cmp(&a.t).then(a.instance.cmp(&b.instance)));
+        found
+    }
+
+    /// Whether `p` is inside, as most of three rays say.
+    fn within(&self, instance: u32, p: Vec3) -> Option<Around> {
+        let seen = PROBES.map(|d| self.winding(instance, p, d));
+        let inside = seen.iter().filter(|(winding, _)| *winding != 0).count() >= 2;
+        let (t, triangle) = seen[0].1.or(seen[1].1)?;
+        let of = &self.instances[instance as usize];
+        let surface = of.surfaces + of.geometry.slot(triangle) as u32;
+        inside.then_some(Around { instance, surface, t })
+    }
+
+    /// Crossings outward less those inward, and the first one.
+    fn winding(&self, instance: u32, p: Vec3, d: Vec3) -> (i32, Option<(f32, u32)>) {
+        let of = &self.instances[instance as usize];
+        let (mut o, mut skip, mut winding, mut first) = (p - of.to_render.translation, u32::MAX, 0, None);
+        // A crossing on an edge counts once: the next begins a few roundings later.
+        let step = 16.0 * f32::EPSILON * of.half_size().max_element();
+        for _ in 0..MOST_CROSSINGS {
+            let Some(hit) = of.geometry.blas.closest_skip(&of.local_ray(o, d, f32::INFINITY), skip) else { break };
+            let [a, b, c] = of.geometry.corners(hit.triangle);
+            winding += if of.to_render.normal((b - a).cross(c - a)).dot(d) > 0.0 { 1 } else { -1 };
+            first = first.or(Some((hit.t, hit.triangle)));
+            (o, skip) = (o + d * (hit.t + step), hit.triangle);
+        }
+        (winding, first)
+    }
+}
