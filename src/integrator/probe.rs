@@ -37,8 +37,7 @@ pub fn probe(
     // What a dielectric reflects does not enter.
     let entering = |wi: Vec3| eta.map_or(1.0, |i| 1.0 - fresnel::dielectric(wi.dot(si.ng).min(1.0), i.eta));
     let n = si.ng;
-    let around =
-        if scene.needs.is_nested() { Nest::of(scene, &scene.around(si.p, si.instance)) } else { Nest::OUTSIDE };
+    let around = if scene.needs.is_nested() { scene.around(si.p, si.instance) } else { Vec::new() };
     let mut record = Record {
         p: enclosure.point(hit),
         n,
@@ -48,6 +47,11 @@ pub fn probe(
         directions: Vec::new(),
         indirect: None,
     };
+
+    if around.iter().any(|body| scene.is_opaque(body)) {
+        return record; // a part of a set within another: no light gets there
+    }
+    let around = Nest::of(scene, &around);
 
     // From lights.
     let lights = scene.lights.len();

@@ -66,10 +66,10 @@ impl Needs {
         self.diffuse_media + self.dielectric_media + self.index_matched_media > 0
     }
 
-    /// Whether bodies that light gets into may be around others.
+    /// Whether bodies that light gets into, or of one set, may be around others.
     pub fn is_nested(&self) -> bool {
         let open = self.clear_media + self.dielectric_media + self.index_matched_media;
-        open > 0 && open + self.diffuse_media > 1
+        open > 0 && open + self.diffuse_media > 1 || self.in_sets > 0
     }
 
     fn subdivision(&self) -> String {

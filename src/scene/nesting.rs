@@ -30,7 +30,7 @@ fn around_camera(scene: &Scene, paths: &[&String], warnings: &mut Vec<Warning>) 
     let [x, y] = scene.camera.size.map(|n| n as f32 * 0.5);
     let ray = scene.camera.ray(Vec2::new(x, y), Vec2::splat(0.5));
     let (diffuse, open): (Vec<Around>, Vec<Around>) =
-        scene.around(ray.o, u32::MAX).into_iter().partition(|body| is_diffuse(scene, body));
+        scene.around(ray.o, u32::MAX).into_iter().partition(|body| scene.is_opaque(body));
     for body in diffuse {
         let message = "the camera is inside this body, whose boundary is diffuse: it is opaque from within, and black";
         warnings.push(Warning::new(path(scene, paths, &body), message));
@@ -50,7 +50,7 @@ fn warn_of_lights(scene: &Scene, paths: &[&String], warnings: &mut Vec<Warning>)
     });
     let lights: Vec<(u32, Vec3, u32)> = shapes.chain(meshes).collect();
     for (light, p, own) in lights {
-        if let Some(body) = scene.around(p, own).iter().find(|body| is_diffuse(scene, body)) {
+        if let Some(body) = scene.around(p, own).iter().find(|body| scene.is_opaque(body)) {
             let body = path(scene, paths, body);
             let message = format!(
                 "this light is inside {body}, whose boundary is diffuse: walks see no light within, so it gives none; \
@@ -61,8 +61,11 @@ fn warn_of_lights(scene: &Scene, paths: &[&String], warnings: &mut Vec<Warning>)
     }
 }
 
-fn is_diffuse(scene: &Scene, body: &Around) -> bool {
-    scene.surfaces[body.surface as usize].interior.is_some_and(|interior| interior.boundary == Boundary::Diffuse)
+impl Scene {
+    /// Whether no path gets into a body but to walk out of it.
+    pub fn is_opaque(&self, body: &Around) -> bool {
+        self.surfaces[body.surface as usize].interior.is_some_and(|interior| interior.boundary == Boundary::Diffuse)
+    }
 }
 
 fn path<'a>(scene: &Scene, paths: &[&'a String], body: &Around) -> &'a str {

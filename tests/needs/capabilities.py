@@ -50,6 +50,33 @@ DRIVEN = """
     }
 """
 
+
+def moved(x: float, y: float = 0.0) -> str:
+    return f"""
+        double3 xformOp:translate = ({x}, {y}, 0)
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+    """
+
+
+def pip(x: float) -> str:
+    """A small opaque ball: within the large one, or beside it."""
+    return LAMP + ball("Pip", "/World/Plain", moved(x), 0.3) + material("Plain", OPAQUE)
+
+
+SET = 'token primvars:dermis:subsurfaceSet = "one"'
+
+
+def neighbour(lines: str = "") -> str:
+    """Another ball of the same medium, across the first."""
+    return LAMP + ball("Neighbour", "/World/Look", moved(1.2) + lines)
+
+
+def tank(y: float) -> str:
+    """A ball of thin grey air: around the camera, or far above."""
+    air = medium("indexMatched", radius=(1e3, 1e3, 1e3), more="color3f inputs:subsurfaceAlbedo = (0, 0, 0)")
+    return LAMP + ball("Tank", "/World/Air", moved(0.0, y), 20.0) + material("Air", air)
+
+
 DARK = replace(WAX, world="", flags=(*WAX.flags, "--disableCameraLight"))
 """Media, and no light to walk to."""
 
@@ -257,6 +284,41 @@ CAPABILITIES = (
         "light at collisions",
         unrendered("an index-matched medium", medium("indexMatched")),
         against_classical("an index-matched boundary", replace(CLASSICAL, look=medium("indexMatched"))),
+    ),
+    Capability(
+        "media with objects in them",
+        Compared(
+            "a ball in a diffuse boundary",
+            replace(CLASSICAL, world=pip(0.2)),
+            replace(CLASSICAL, world=pip(2.0)),
+            "the ball aside",
+        ),
+        Compared(
+            "a ball in an index-matched medium",
+            replace(CLASSICAL, look=medium("indexMatched"), world=pip(0.2)),
+            replace(CLASSICAL, look=medium("indexMatched"), world=pip(2.0)),
+            "the ball aside",
+        ),
+    ),
+    Capability(
+        "subsurface sets",
+        Compared("a set of one", replace(CLASSICAL, ball=SET), CLASSICAL, "no set"),
+        Compared(
+            "a set of two that touch",
+            replace(CLASSICAL, ball=SET, world=neighbour(SET)),
+            replace(CLASSICAL, world=neighbour()),
+            "no set",
+        ),
+    ),
+    Capability(
+        "camera in a medium",
+        Compared("it is beside one", replace(PLAIN, world=tank(60.0)), PLAIN, "no medium"),
+        Compared(
+            "in thin index-matched air",
+            replace(PLAIN, world=tank(0.0)),
+            replace(PLAIN, world=tank(60.0)),
+            "it is beside it",
+        ),
     ),
     Capability(
         "refracted light",

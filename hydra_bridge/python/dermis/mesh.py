@@ -145,7 +145,11 @@ def handed_down(prim: Usd.Prim, name: str, default: Any, inherited: Inherited, r
     None: not authored."""
     own = UsdGeom.PrimvarsAPI(prim).GetPrimvar(name)
     primvar = own if own and own.HasAuthoredValue() else inherited.get(name)
-    return None if primvar is None else reader.coerced(prim, f"primvars:{name}", primvar.Get(reader.time), default)
+    return (
+        None
+        if primvar is None
+        else reader.coerced(prim, f"primvars:{name}", primvar.Get(reader.time), default)
+    )
 
 
 def of_medium(prim: Usd.Prim, inherited: Inherited, reader: Reader) -> dict[str, Any]:
