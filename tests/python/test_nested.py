@@ -1,5 +1,6 @@
 """Media within media: what a stage says of them, and the picture of it."""
 
+import itertools
 import json
 
 import numpy as np
@@ -150,7 +151,7 @@ def Camera "C"
 
 def transmittance(*indices: float) -> float:
     """Of parallel interfaces at normal incidence, incoherent: the order of a stack does not matter to what passes."""
-    ratios = [((a - b) / (a + b)) ** 2 for a, b in zip(indices, indices[1:], strict=False)]
+    ratios = [((a - b) / (a + b)) ** 2 for a, b in itertools.pairwise(indices)]
     lost = sum(r / (1.0 - r) for r in ratios)
     return 1.0 / (1.0 + lost)
 
