@@ -2,6 +2,7 @@
 
 use crate::flat::{self, Projection, RenderSettings};
 use crate::sampling::concentric_disk;
+use crate::scene::Keys;
 use glam::{DVec3, Mat3, Vec2, Vec3};
 
 /// A camera ray in render space: unit direction, valid for 0 < t < `t_max`.
@@ -44,8 +45,12 @@ impl DataWindow {
 pub struct Camera {
     /// World position of the render-space origin.
     pub origin: DVec3,
-    /// Camera axes in render space: columns right, up, back.
+    /// Camera axes in render space: columns right, up, back; at the frame.
     axes: Mat3,
+    /// Where it stands by time of the shutter; `None`: it stays.
+    moves: Option<Box<Keys<Stand>>>,
+    /// When the shutter opens and closes, time codes from the frame on.
+    pub shutter: [f32; 2],
     /// Full size of the window at unit distance (perspective) or in stage units (orthographic).
     window: Vec2,
     /// Shift of the window's centre, same unit.
@@ -62,6 +67,20 @@ pub struct Camera {
     pub size: [u32; 2],
     /// Width of a pixel over its height; as set, or what `adjustPixelAspectRatio` makes of it.
     pub pixel_aspect_ratio: f32,
+}
+
+/// Axes as a matrix has them, not unit, and the eye, in render space.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Stand {
+    axes: Mat3,
+    eye: Vec3,
+}
+
+impl Stand {
+    fn of(matrix: &flat::Matrix4d, origin: DVec3) -> Self {
+        let [right, up, back, eye] = matrix.map(|row| DVec3::new(row[0], row[1], row[2]));
+        Self { axes: Mat3::from_cols(right.as_vec3(), up.as_vec3(), back.as_vec3()), eye: (eye - origin).as_vec3() }
+    }
 }
 
 impl Camera {
@@ -90,6 +109,8 @@ impl Camera {
         Self {
             origin,
             axes,
+            moves: Self::moves(camera, settings, origin),
+            shutter: camera.shutter,
             window: aperture * scale,
             offset: offset * scale,
             resolution,
@@ -103,6 +124,35 @@ impl Camera {
             size,
             pixel_aspect_ratio,
         }
+    }
+
+    fn moves(camera: &flat::Camera, settings: &RenderSettings, origin: DVec3) -> Option<Box<Keys<Stand>>> {
+        let keys = camera.transform_keys.as_ref().filter(|_| settings.moves() && camera.opens())?;
+        let stands: Vec<Stand> = keys.transforms.iter().map(|matrices| Stand::of(&matrices[0], origin)).collect();
+        stands.windows(2).any(|pair| pair[0] != pair[1]).then(|| Box::new(Keys::new(keys.times.clone(), stands)))
+    }
+
+    pub fn is_moving(&self) -> bool {
+        self.moves.is_some()
+    }
+
+    /// The frame as a time of the shutter: 0 where it opens, 1 where it closes; the nearer end where it is beyond.
+    pub fn time_of_frame(&self) -> f32 {
+        let [open, close] = self.shutter;
+        if close > open { (-open / (close - open)).clamp(0.0, 1.0) } else { 0.0 }
+    }
+
+    /// Axes and eye at a time of the shutter, render space.
+    fn stand(&self, time: f32) -> (Mat3, Vec3) {
+        let Some(moves) = &self.moves else { return (self.axes, Vec3::ZERO) };
+        let (a, b, f) = moves.about(time);
+        let axes = a.axes + (b.axes - a.axes) * f;
+        let unit = Mat3::from_cols(
+            axes.x_axis.normalize_or(Vec3::X),
+            axes.y_axis.normalize_or(Vec3::Y),
+            axes.z_axis.normalize_or(Vec3::Z),
+        );
+        (unit, a.eye + (b.eye - a.eye) * f)
     }
 
     /// Number of a pixel in the whole image, whatever window is rendered: the key of its random numbers. Overscan has
@@ -122,13 +172,23 @@ impl Camera {
         self.lens_radius > 0.0 && !self.orthographic
     }
 
-    /// Ray through image position `raster` (pixels, y down); `u_lens` chooses the point on the lens.
-    pub fn ray(&self, raster: Vec2, u_lens: Vec2) -> CameraRay {
+    /// Ray through image position `raster` (pixels, y down) at a time of the shutter; `u_lens` chooses the point on the
+    /// lens.
+    pub fn ray(&self, raster: Vec2, u_lens: Vec2, time: f32) -> CameraRay {
+        if self.moves.is_none() {
+            return self.ray_along(&self.axes, raster, u_lens);
+        }
+        let (axes, eye) = self.stand(time);
+        let ray = self.ray_along(&axes, raster, u_lens);
+        CameraRay { o: ray.o + eye, ..ray }
+    }
+
+    fn ray_along(&self, axes: &Mat3, raster: Vec2, u_lens: Vec2) -> CameraRay {
         let ndc = Vec2::new(raster.x / self.resolution.x - 0.5, 0.5 - raster.y / self.resolution.y);
         let film = ndc * self.window + self.offset;
         if self.orthographic {
-            let o = self.axes * film.extend(-self.near);
-            return CameraRay { o, d: -self.axes.z_axis, t_max: self.far - self.near };
+            let o = *axes * film.extend(-self.near);
+            return CameraRay { o, d: -axes.z_axis, t_max: self.far - self.near };
         }
         let mut o = Vec3::ZERO;
         let mut d = film.extend(-1.0);
@@ -138,11 +198,7 @@ impl Camera {
         }
         // d.z = -1: t = depth along the view axis, which is what the clipping range measures.
         let length = d.length();
-        CameraRay {
-            o: self.axes * (o + d * self.near),
-            d: self.axes * (d / length),
-            t_max: (self.far - self.near) * length,
-        }
+        CameraRay { o: *axes * (o + d * self.near), d: *axes * (d / length), t_max: (self.far - self.near) * length }
     }
 
     /// Width of a pixel at the origin of its ray, stage units, and how much it grows per stage unit.
@@ -156,9 +212,22 @@ impl Camera {
         View { origin: self.origin, axes: self.axes, clipping: [self.near, self.far], orthographic: self.orthographic }
     }
 
-    /// Distance of a render-space point along the view axis.
-    pub fn depth(&self, p: Vec3) -> f32 {
-        -self.axes.z_axis.dot(p)
+    /// Distance of a render-space point along the view axis, at a time of the shutter.
+    pub fn depth(&self, p: Vec3, time: f32) -> f32 {
+        if self.moves.is_none() {
+            return -self.axes.z_axis.dot(p);
+        }
+        let (axes, eye) = self.stand(time);
+        -axes.z_axis.dot(p - eye)
+    }
+
+    /// Where a render-space point is on the image (pixels, y down) at a time of the shutter; `None` in the plane of the eye.
+    pub fn raster(&self, p: Vec3, time: f32) -> Option<Vec2> {
+        let (axes, eye) = self.stand(time);
+        let p = axes.transpose() * (p - eye);
+        let film = if self.orthographic { p.truncate() } else { p.truncate() / -p.z };
+        let ndc = (film - self.offset) / self.window;
+        film.is_finite().then(|| Vec2::new(ndc.x + 0.5, 0.5 - ndc.y) * self.resolution)
     }
 }
 
@@ -223,10 +292,10 @@ mod tests {
             clipping_range: [0.1, 1e6],
             ..Default::default()
         };
-        let d = Camera::compile(&camera, &square(100)).ray(Vec2::new(100.0, 50.0), Vec2::ZERO).d;
+        let d = Camera::compile(&camera, &square(100)).ray(Vec2::new(100.0, 50.0), Vec2::ZERO, 0.0).d;
         assert!((d.x - 0.5_f32.sqrt()).abs() < 1e-6 && d.y.abs() < 1e-6 && d.z < 0.0);
         let camera = flat::Camera { projection: Projection::Orthographic, ..camera };
-        let o = Camera::compile(&camera, &square(100)).ray(Vec2::new(0.0, 0.0), Vec2::ZERO).o;
+        let o = Camera::compile(&camera, &square(100)).ray(Vec2::new(0.0, 0.0), Vec2::ZERO, 0.0).o;
         assert!((o - Vec3::new(-1.8, 1.8, -0.1)).length() < 1e-6);
     }
 
@@ -289,7 +358,7 @@ mod tests {
         let camera = flat::Camera { f_stop: 0.5, focus_distance: 7.0, ..Default::default() };
         let camera = Camera::compile(&camera, &square(64));
         let at = |u: Vec2| {
-            let ray = camera.ray(Vec2::new(10.0, 50.0), u);
+            let ray = camera.ray(Vec2::new(10.0, 50.0), u, 0.0);
             ray.o + ray.d * ((-7.0 - ray.o.z) / ray.d.z)
         };
         assert!((at(Vec2::new(0.1, 0.9)) - at(Vec2::new(0.8, 0.3))).length() < 1e-4);

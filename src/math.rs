@@ -77,6 +77,17 @@ impl Affine {
         (usable && linear64.determinant() != 0.0).then_some(Self { linear, inverse, translation })
     }
 
+    /// The matrix that is the share `f` of the way from `a` to `b`, number by number; parts that stay, stay exactly.
+    pub fn between(a: &Self, b: &Self, f: f32) -> Self {
+        let translation = a.translation + (b.translation - a.translation) * f;
+        if a.linear == b.linear {
+            return Self { translation, ..*a };
+        }
+        let linear = a.linear + (b.linear - a.linear) * f;
+        // In f64, as that of a placement that stays.
+        Self { linear, inverse: linear.as_dmat3().inverse().as_mat3(), translation }
+    }
+
     pub fn point(&self, p: Vec3) -> Vec3 {
         self.linear * p + self.translation
     }

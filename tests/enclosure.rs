@@ -27,7 +27,7 @@ fn sampled_distance(scene: &Scene, p: Vec3) -> f32 {
     let steps: Vec<_> = steps.collect();
     (0..instance.geometry.triangles.len() as u32)
         .flat_map(|t| {
-            let [a, b, c] = instance.geometry.corners(t).map(|q| instance.to_render.linear * q);
+            let [a, b, c] = instance.geometry.corners(t, 0.0).map(|q| instance.to_render.linear * q);
             steps.iter().map(move |&(u, v)| (a + u * (b - a) + v * (c - a)).distance(p))
         })
         .fold(f32::INFINITY, f32::min)
@@ -39,7 +39,7 @@ fn closest_point_is_closest_in_walk_space() {
     let sheared = [[2.0, 0.3, 0.0, 0.0], [-0.2, 0.5, 0.1, 0.0], [0.4, 0.0, -1.0, 0.0], [5.0, -3.0, 100.0, 1.0]];
     for (i, transform) in [translated, sheared].into_iter().enumerate() {
         let compiled = placed(transform);
-        let enclosure = InstanceEnclosure::new(&compiled, 0);
+        let enclosure = InstanceEnclosure::new(compiled.at(0.0), 0);
         let mut sampler = Sampler::new(i as u32, 4, 5);
         for _ in 0..100 {
             let local = Vec3::new(sampler.random(), sampler.random(), sampler.random()) * 2.0 - 1.0;

@@ -67,7 +67,7 @@ fn mean_path_length_is_four_volumes_over_surface() {
         delegate.commit().expect("commit");
         let compiled = delegate.scene().expect("scene").clone();
         let medium = compiled.surfaces[0].interior.expect("a medium").medium;
-        let enclosure = InstanceEnclosure::new(&compiled, 0);
+        let enclosure = InstanceEnclosure::new(compiled.at(0.0), 0);
         let lengths: Vec<f64> = (0..40_000).map(|i| path_length(&compiled, &enclosure, &medium, &half, i)).collect();
         let (mean, error) = mean_and_error(&lengths);
         let (volume, surface) =
@@ -103,7 +103,7 @@ fn path_length(
     let d = dermis::math::Frame::from_normal(-normal).to_world(inward);
     // The boundary point as the scene sees it: the first surface on the way in from outside.
     let centre = scene.instances[0].to_render.translation;
-    let hit = scene.closest(centre + p * *half + normal, -normal, 10.0, None).expect("the box is there");
+    let hit = scene.at(0.0).closest(centre + p * *half + normal, -normal, 10.0, None).expect("the box is there");
     let hit = dermis::scene::BoundaryHit::of(&hit);
     let start = Start { p: enclosure.point(&hit), d, normal, hit, weight: Vec3::ONE };
     let (mut stats, mut length, mut last) = (WalkStats::default(), 0.0_f64, start.p);

@@ -140,6 +140,7 @@ fn layer(plane: &Plane, spec: Option<&LayerSpec>) -> Layer<'static> {
         "depth" | "distance" | "deviceDepth" => &["Z"],
         "primId" | "region" => &["id"],
         "sampleCount" => &["count"],
+        "motionVector" => &["X", "Y"],
         "normal" | "position" | "slabNormal" | "Peye" | "Neye" => &["X", "Y", "Z"],
         name if name.starts_with("cryptoObject") => &["R", "G", "B", "A"],
         // OpenEXR's name of a lone channel.

@@ -158,8 +158,12 @@ impl RenderDelegate {
         if has(DirtyBits::POINTS) {
             mesh.points = new.points;
         }
+        if has(DirtyBits::POINTS) || has(DirtyBits::NORMALS) {
+            mesh.point_keys = new.point_keys;
+        }
         if has(DirtyBits::TRANSFORM) {
             mesh.transform = new.transform;
+            mesh.transform_keys = new.transform_keys;
         }
         if has(DirtyBits::PRIMVAR) {
             mesh.primvars = new.primvars;

@@ -26,6 +26,8 @@ const TILE: u32 = 16;
 struct Planes {
     /// depth, normal, position, primId: of the nearest sample of a pixel, unfiltered.
     pub geometry: bool,
+    /// Of the same sample.
+    pub motion: bool,
     pub albedo: bool,
     /// direct, indirect, subsurface.
     pub buckets: bool,
@@ -45,6 +47,7 @@ impl Planes {
         let has = |wanted: &[&str]| names.iter().any(|n| wanted.contains(&n.as_str()));
         Self {
             geometry: has(&planes::GEOMETRY),
+            motion: has(&[planes::MOTION]),
             albedo: has(&["albedo"]),
             buckets: has(&["direct", "indirect", "subsurface"]),
             variance: has(&["variance"]),
@@ -89,6 +92,8 @@ pub struct Sample {
     pub first: FirstHit,
     /// Where that is; `None`: nothing was hit.
     pub surface: Option<OnSurface>,
+    /// Pixels that it goes on the image while the shutter is open, x right, y up; 0 unless asked for.
+    pub motion: Vec2,
 }
 
 /// A point of a surface as geometry has it.
@@ -108,6 +113,7 @@ impl Sample {
         albedo: Rgb::ZERO,
         first: FirstHit::NONE,
         surface: None,
+        motion: Vec2::ZERO,
     };
 
     pub fn color(&self) -> Rgb {
@@ -129,6 +135,7 @@ pub struct Tile {
     buckets: Vec<[Rgb; 3]>,
     albedo: Vec<Rgb>,
     first: Vec<FirstHit>,
+    motion: Vec<Vec2>,
     walks: Vec<WalkSums>,
     objects: Vec<ObjectSums>,
     /// By pixel, then by primvar.
@@ -151,10 +158,16 @@ impl Tile {
             buckets: vec![[Rgb::ZERO; 3]; on(planes.buckets)],
             albedo: vec![Rgb::ZERO; on(planes.albedo)],
             first: vec![FirstHit::NONE; on(planes.geometry)],
+            motion: vec![Vec2::ZERO; on(planes.motion)],
             walks: vec![WalkSums::NONE; on(planes.walks)],
             objects: vec![ObjectSums::NONE; on(planes.objects)],
             primvars: vec![Vec3::ZERO; n * planes.primvars],
         }
+    }
+
+    /// Whether an AOV shows how things move on the image.
+    pub fn watches_motion(&self) -> bool {
+        !self.motion.is_empty()
     }
 
     /// Adds a sample to pixel `i` (row-major in the tile).
@@ -176,6 +189,9 @@ impl Tile {
         }
         if let Some(first) = self.first.get_mut(i).filter(|first| sample.first.depth < first.depth) {
             *first = sample.first;
+            if let Some(motion) = self.motion.get_mut(i) {
+                *motion = sample.motion;
+            }
         }
         if let Some(objects) = self.objects.get_mut(i) {
             objects.add(sample.first.prim_id);
@@ -220,6 +236,7 @@ fn check_memory(data_window: DataWindow, planes: Planes) -> Result<()> {
         + on(planes.buckets, size_of::<[Rgb; 3]>())
         + on(planes.albedo, size_of::<Rgb>())
         + on(planes.geometry, size_of::<FirstHit>())
+        + on(planes.motion, size_of::<Vec2>())
         + on(planes.walks, size_of::<WalkSums>())
         + on(planes.objects, size_of::<ObjectSums>())
         + planes.primvars * size_of::<Vec3>();

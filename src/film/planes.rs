@@ -15,7 +15,10 @@ pub struct Plane {
 }
 
 /// Of the nearest sample of a pixel.
-pub const GEOMETRY: [&str; 8] = ["depth", "normal", "position", "primId", "distance", "deviceDepth", "Peye", "Neye"];
+pub const GEOMETRY: [&str; 9] =
+    ["depth", "normal", "position", "primId", "distance", "deviceDepth", "Peye", "Neye", MOTION];
+
+pub const MOTION: &str = "motionVector";
 
 impl Film {
     /// The image so far: `color` (RGBA, premultiplied) first, then the planes asked for.
@@ -80,7 +83,10 @@ impl Film {
             self.plane("position", 3, |t, i| vector(t.first[i].position)),
             self.plane("primId", 1, |t, i| one(t.first[i].prim_id as f32)),
         ];
-        let Some(view) = self.view.filter(|_| GEOMETRY[4..].iter().any(|name| wanted(name))) else { return planes };
+        if self.planes.motion {
+            planes.push(self.plane(MOTION, 2, |t, i| [t.motion[i].x, t.motion[i].y, 0.0, 0.0]));
+        }
+        let Some(view) = self.view.filter(|_| GEOMETRY[4..8].iter().any(|name| wanted(name))) else { return planes };
         let eye = |t: &Tile, i: usize| match t.first[i].prim_id {
             -1 => Vec3::ZERO,
             _ => view.eye_point(t.first[i].position),

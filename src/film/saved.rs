@@ -28,6 +28,7 @@ impl Tile {
         to.array(&self.buckets)?;
         to.array(&self.albedo)?;
         to.array(&self.first)?;
+        to.array(&self.motion)?;
         to.array(&self.walks)?;
         to.array(&self.objects)?;
         to.array(&self.primvars)
@@ -41,6 +42,7 @@ impl Tile {
         from.array(&mut self.buckets)?;
         from.array(&mut self.albedo)?;
         from.array(&mut self.first)?;
+        from.array(&mut self.motion)?;
         from.array(&mut self.walks)?;
         from.array(&mut self.objects)?;
         from.array(&mut self.primvars)

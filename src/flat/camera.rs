@@ -1,6 +1,7 @@
 //! `UsdGeomCamera` with the specification's names; lengths as authored.
 
 use super::mesh::{IDENTITY, Matrix4d};
+use super::motion::TransformKeys;
 use serde::{Deserialize, Serialize};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -31,6 +32,18 @@ pub struct Camera {
     pub focus_distance: f32,
     /// `UsdGeomCamera.ComputeLinearExposureScale()`, resolved by the bridge.
     pub exposure_scale: f32,
+    /// When the shutter opens and closes, time codes from the frame on; equal: nothing moves.
+    pub shutter: [f32; 2],
+    /// Of `transform`; `None`: it stays.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub transform_keys: Option<TransformKeys>,
+}
+
+impl Camera {
+    /// Whether the shutter is open for any time.
+    pub fn opens(&self) -> bool {
+        self.shutter[1] > self.shutter[0]
+    }
 }
 
 impl Default for Camera {
@@ -47,6 +60,8 @@ impl Default for Camera {
             f_stop: 0.0,
             focus_distance: 0.0,
             exposure_scale: 1.0,
+            shutter: [0.0; 2],
+            transform_keys: None,
         }
     }
 }

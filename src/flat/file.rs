@@ -40,7 +40,7 @@ use std::{
 
 const MAGIC: &[u8; 6] = b"DERMIS";
 /// Raised when an older program could misread a newer file.
-const VERSION: u16 = 2;
+const VERSION: u16 = 3;
 const HEADER: usize = 64;
 const ENTRY: usize = 32;
 /// A cache line: what any vector load of an array may ask for.

@@ -1,6 +1,7 @@
 //! UsdLux lights with the specification's names and defaults.
 
 use super::mesh::{IDENTITY, Matrix4d};
+use super::motion::TransformKeys;
 use serde::{Deserialize, Serialize};
 
 /// What shape emits; local frame and defaults as in UsdLux (emission along -Z unless said).
@@ -86,6 +87,9 @@ pub struct Light {
     pub shadow_link: String,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub shadow: Option<Shadow>,
+    /// Of `transform`; `None`: it stays.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub transform_keys: Option<TransformKeys>,
 }
 
 impl Default for Light {
@@ -106,6 +110,7 @@ impl Default for Light {
             light_link: String::new(),
             shadow_link: String::new(),
             shadow: None,
+            transform_keys: None,
         }
     }
 }

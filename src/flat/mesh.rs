@@ -1,6 +1,6 @@
 //! Geometry prims: polygon meshes with USD's attribute names, and what places copies of them.
 
-use super::Array;
+use super::{Array, PointKeys, TransformKeys};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -135,6 +135,12 @@ pub struct Mesh {
     /// Hydra's categories: of the collections that lights name ([`super::Light::light_link`]), those that it is in.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub categories: Vec<String>,
+    /// Of `transform`; `None`: it stays.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub transform_keys: Option<TransformKeys>,
+    /// Of `points`; `None`: they stay.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub point_keys: Option<PointKeys>,
 }
 
 impl Default for Mesh {
@@ -161,6 +167,8 @@ impl Default for Mesh {
             geom_subsets: Vec::new(),
             instancer: String::new(),
             categories: Vec::new(),
+            transform_keys: None,
+            point_keys: None,
         }
     }
 }
@@ -179,6 +187,9 @@ pub struct Instancer {
     /// nothing here.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub primvars: BTreeMap<String, AnyPrimvar>,
+    /// Of `transforms`; `None`: they stay.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub transform_keys: Option<TransformKeys>,
 }
 
 fn is_empty(values: &Array<[f32; 3]>) -> bool {

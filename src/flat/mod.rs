@@ -6,6 +6,7 @@ pub mod file;
 mod light;
 mod material;
 mod mesh;
+mod motion;
 mod network;
 #[cfg(test)]
 pub(crate) mod sample;
@@ -20,6 +21,7 @@ pub use mesh::{
     AnyPrimvar, GeomSubset, IDENTITY, Image, Instancer, Interpolation, Matrix4d, Mesh, Orientation, Prims, Primvar,
     SubdivTags, Texels, Texture,
 };
+pub use motion::{PointKeys, TransformKeys};
 pub use network::{ImageNode, Network, Node, Op, Tile, Wrap};
 pub use settings::{AOVS, EXTRA_AOVS, GUIDE_AOVS, MAX_NORMALS, PRIMVAR_AOV, RenderSettings, WALKS};
 
@@ -71,4 +73,11 @@ pub struct FlatScene {
     pub settings: RenderSettings,
     /// What the bridge dropped or replaced on the way here.
     pub warnings: Vec<crate::error::Warning>,
+}
+
+impl FlatScene {
+    /// Whether keys within the shutter count: it opens, and blur or vectors are wanted.
+    pub fn moves(&self) -> bool {
+        self.settings.moves() && self.cameras.get(&self.settings.camera).is_some_and(Camera::opens)
+    }
 }

@@ -17,7 +17,7 @@ pub(crate) fn cube() -> Mesh {
         face_vertex_counts: vec![4; 6].into(),
         face_vertex_indices: faces.as_flattened().to_vec().into(),
         hole_indices: vec![5].into(),
-        normals: Some(Primvar { interpolation: Interpolation::Vertex, values: points.into(), indices: None }),
+        normals: Some(Primvar { interpolation: Interpolation::Vertex, values: points.clone().into(), indices: None }),
         primvars: [("st".into(), AnyPrimvar::Float2(st))].into(),
         display_color: Some(Primvar {
             interpolation: Interpolation::FaceVarying,
@@ -41,6 +41,11 @@ pub(crate) fn cube() -> Mesh {
             indices: vec![1, 3, 4].into(),
             material: "/looks/wax".into(),
         }],
+        point_keys: Some(PointKeys {
+            times: vec![0.0, 1.0],
+            points: vec![points.clone().into(), points.iter().map(|p| p.map(|x| 2.0 * x)).collect::<Vec<_>>().into()],
+            normals: vec![points.clone().into(), points.into()],
+        }),
         ..Mesh::default()
     }
 }
@@ -56,9 +61,18 @@ pub(crate) fn scene() -> FlatScene {
     scene.meshes.insert("/leaf".into(), Mesh { instancer: "/tree".into(), ..cube() });
     let transforms = vec![IDENTITY, [[2.0, 0.0, 0.0, 0.0], IDENTITY[1], IDENTITY[2], [3.0, 4.0, 5.0, 1.0]]];
     let display_color = vec![[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]].into();
+    let at = |matrices: &[Matrix4d]| Array::from(matrices.to_vec());
+    let keys =
+        TransformKeys { times: vec![0.0, 0.75, 1.0], transforms: [0, 1, 0].map(|i| at(&[transforms[i]; 2])).to_vec() };
     scene.instancers.insert(
         "/tree".into(),
-        Instancer { visible: true, transforms: transforms.into(), display_color, ..Instancer::default() },
+        Instancer {
+            visible: true,
+            transforms: transforms.into(),
+            display_color,
+            transform_keys: Some(keys),
+            ..Instancer::default()
+        },
     );
     scene.materials.insert("/looks/skin".into(), Material::default());
     scene.materials.insert("/looks/wax".into(), Material::OpenPbr(OpenPbrSurface::default()));

@@ -6,9 +6,10 @@ use serde::{Deserialize, Serialize};
 pub const AOVS: [&str; 10] =
     ["alpha", "depth", "normal", "position", "albedo", "primId", "direct", "indirect", "subsurface", "variance"];
 
-/// AOVs written only where asked for: kinds of depth (along the ray, of a rasteriser), eye space, samples per pixel,
+/// AOVs written only where asked for: kinds of depth (along the ray, of a rasteriser), eye space, motion, samples per pixel,
 /// Cryptomatte of the objects.
-pub const EXTRA_AOVS: [&str; 6] = ["distance", "deviceDepth", "Peye", "Neye", "sampleCount", "cryptoObject"];
+pub const EXTRA_AOVS: [&str; 7] =
+    ["distance", "deviceDepth", "Peye", "Neye", "motionVector", "sampleCount", "cryptoObject"];
 
 /// AOVs for looking at the guide, of the first walk behind a camera ray: written only where asked for.
 pub const GUIDE_AOVS: [&str; 6] =
@@ -38,6 +39,8 @@ pub struct RenderSettings {
     #[serde(rename = "dataWindowNDC")]
     pub data_window_ndc: [f32; 4],
     pub disable_depth_of_field: bool,
+    /// All is where it is at the frame itself.
+    pub disable_motion_blur: bool,
     /// Samples per pixel.
     pub samples: u32,
     pub sample_offset: u32,
@@ -96,6 +99,13 @@ pub struct RenderSettings {
     pub aovs: Vec<String>,
 }
 
+impl RenderSettings {
+    /// Whether keys within the shutter count: for blur, or for vectors of a sharp image.
+    pub fn moves(&self) -> bool {
+        !self.disable_motion_blur || self.aovs.iter().any(|aov| aov == "motionVector")
+    }
+}
+
 impl Default for RenderSettings {
     fn default() -> Self {
         Self {
@@ -105,6 +115,7 @@ impl Default for RenderSettings {
             aspect_ratio_conform_policy: "expandAperture".into(),
             data_window_ndc: [0.0, 0.0, 1.0, 1.0],
             disable_depth_of_field: false,
+            disable_motion_blur: false,
             samples: 64,
             sample_offset: 0,
             seed: 0,

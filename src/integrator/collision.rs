@@ -11,7 +11,7 @@ use crate::math::{Rgb, mean};
 use crate::medium::Medium;
 use crate::sampling::power_heuristic;
 use crate::sampling::sampler::Sampler;
-use crate::scene::{InstanceEnclosure, Scene, SurfaceHit};
+use crate::scene::{InstanceEnclosure, Moment, SurfaceHit};
 use crate::subsurface::steps::Enclosure;
 use crate::subsurface::walk::Collision;
 use glam::{Vec2, Vec3};
@@ -19,7 +19,7 @@ use glam::{Vec2, Vec3};
 /// Light sampled at the collisions of a walk.
 #[derive(Clone, Copy)]
 pub(super) struct CollisionLight<'a> {
-    pub scene: &'a Scene,
+    pub scene: Moment<'a>,
     /// The body that the collisions are in.
     pub instance: u32,
     /// Of objects around the path: those around the collision where the boundary is matched, around the object where it
@@ -59,7 +59,7 @@ impl CollisionLight<'_> {
     ) -> u64 {
         let u = Vec2::new(sampler.random(), sampler.random());
         let p = enclosure.to_render(collision.p);
-        let light = self.scene.lights.sample(p, None, Choice::ONE, sampler.random(), u);
+        let light = self.scene.lights().sample(p, None, Choice::ONE, sampler.random(), u);
         let Some(light) = light.filter(|light| light.radiance != Rgb::ZERO && self.is_lit_by(light.light)) else {
             return 0;
         };
@@ -91,7 +91,7 @@ impl CollisionLight<'_> {
             return 0;
         }
         let u = Vec2::new(sampler.random(), sampler.random());
-        let emitter = self.scene.lights.sample_emitter(enclosure.to_render(collision.p), sampler.random(), u);
+        let emitter = self.scene.lights().sample_emitter(enclosure.to_render(collision.p), sampler.random(), u);
         let Some(emitter) = emitter.filter(|light| Bent::is_small(light) && self.is_lit_by(light.light)) else {
             return 0;
         };
@@ -147,7 +147,7 @@ type Ways = [Option<(Crossing, f32)>; SEARCHES];
 
 impl<'a> Bent<'a> {
     /// `None` unless `surface` makes a smooth dielectric boundary of `instance`.
-    pub fn new(scene: &'a Scene, instance: u32, surface: u32) -> Option<Self> {
+    pub fn new(scene: Moment<'a>, instance: u32, surface: u32) -> Option<Self> {
         let error = InstanceEnclosure::new(scene, instance).position_error();
         let window = Window::new(scene, instance, surface, error)?;
         Some(Self { window, medium: scene.surfaces[surface as usize].interior?.medium })
@@ -181,11 +181,11 @@ impl<'a> Bent<'a> {
     }
 
     /// What a collision scatters of the light on one of the ways, over its density, MIS weight included.
-    fn unshadowed(&self, scene: &Scene, collision: &Collision, emitter: &Emitter, at: &Crossing, density: f32) -> Rgb {
+    fn unshadowed(&self, scene: Moment, collision: &Collision, emitter: &Emitter, at: &Crossing, density: f32) -> Rgb {
         let (phase, pdf) = (collision.scatter)(at.d);
         let weight = if emitter.delta { 1.0 } else { power_heuristic(density, pdf * self.escape(at)) };
         let passed = self.medium.transmittance(at.t) * self.window.radiance(at);
-        passed * scene.lights.radiance_of(emitter, at.v) * (phase * weight / density)
+        passed * scene.lights().radiance_of(emitter, at.v) * (phase * weight / density)
     }
 
     /// Probability that a walk which goes towards `at` gets out there.
@@ -208,8 +208,8 @@ pub(super) struct Refracted {
 
 impl Refracted {
     /// MIS weight of having met a light by chance, given as what it is to a receiver at a point of render space.
-    pub fn weight(&self, scene: &Scene, emitter: impl Fn(Vec3) -> Option<Emitter>) -> f32 {
-        let x = self.x + scene.instances[self.instance as usize].to_render.translation;
+    pub fn weight(&self, scene: Moment, emitter: impl Fn(Vec3) -> Option<Emitter>) -> f32 {
+        let x = self.x + scene.placed(self.instance).translation;
         let Some(emitter) = emitter(x).filter(Bent::is_small) else { return 1.0 };
         let Some(bent) = Bent::new(scene, self.instance, self.surface) else { return 1.0 };
         let ways = bent.connect(self.x, &emitter, |_| true);
@@ -265,7 +265,8 @@ mod tests {
         ];
         for (i, (shape, ior)) in shapes.into_iter().enumerate() {
             let scene = ball(0.06, ior, vec![light(shape.clone(), at)]);
-            let bent = Bent::new(&scene, 0, 0).expect("a smooth dielectric");
+            let scene = scene.at(0.0);
+            let bent = Bent::new(scene, 0, 0).expect("a smooth dielectric");
             let x = Vec3::new(0.1, -0.2, 0.9);
             let to_render = scene.instances[0].to_render.translation;
             let frame = Frame::from_normal((at.as_vec3() - x).normalize());
@@ -275,7 +276,7 @@ mod tests {
             let (n, mut sum, mut squares) = (60_000, 0.0, 0.0);
             for _ in 0..n {
                 let u = Vec2::new(sampler.random(), sampler.random());
-                let Some(emitter) = scene.lights.sample_emitter(x + to_render, sampler.random(), u) else { continue };
+                let Some(emitter) = scene.lights().sample_emitter(x + to_render, sampler.random(), u) else { continue };
                 // The medium passes everything: roulette is that of the constants alone.
                 let found = bent.connect(x, &emitter, |_| true).into_iter().flatten().filter(|(at, _)| seen(at.d));
                 let angle: f64 = found.map(|(_, density)| f64::from(TRIED * SEARCHED / density)).sum();
@@ -294,10 +295,10 @@ mod tests {
                 let p = exit.p - to_render;
                 let last = Refracted { instance: 0, surface: 0, x, p, pdf: 1.0 };
                 let weight = if matches!(shape, LightShape::Distant { .. }) {
-                    last.weight(&scene, |x| scene.lights.emitter_towards(0, x, v))
+                    last.weight(scene, |x| scene.lights().emitter_towards(0, x, v))
                 } else {
-                    let Some(hit) = scene.lights.intersect(0, exit.p, v, f32::INFINITY) else { continue };
-                    last.weight(&scene, |x| scene.lights.emitter_at(0, x, exit.p + v * hit.t, &hit))
+                    let Some(hit) = scene.lights().intersect(0, exit.p, v, f32::INFINITY) else { continue };
+                    last.weight(scene, |x| scene.lights().emitter_at(0, x, exit.p + v * hit.t, &hit))
                 };
                 hits += f64::from(u8::from(weight < 1.0));
             }

@@ -31,7 +31,7 @@ impl Path<'_> {
     pub(super) fn meet_light_shapes_along(&mut self, o: Vec3, d: Vec3, t_max: f32, inside: &Nest) {
         let scene = self.scene;
         scene.light_shapes(o, d, t_max, |light, hit| {
-            let radiance = scene.lights.radiance_hit(light, d, hit);
+            let radiance = scene.lights().radiance_hit(light, d, hit);
             if radiance == Rgb::ZERO || self.asked(light) {
                 return;
             }
@@ -44,7 +44,7 @@ impl Path<'_> {
         let scene = self.scene;
         let d = self.d;
         for &light in scene.lights.infinite() {
-            let radiance = scene.lights.escaped(light, d);
+            let radiance = scene.lights().escaped(light, d);
             if radiance == Rgb::ZERO || self.asked(light) {
                 continue;
             }
@@ -65,7 +65,7 @@ impl Path<'_> {
         }
         let (o, d) = (self.o, self.d);
         let hit = ShapeHit::on_mesh((si.p - o).dot(d), first + si.triangle);
-        let radiance = scene.lights.radiance_hit(light, d, &hit);
+        let radiance = scene.lights().radiance_hit(light, d, &hit);
         let weight = match self.previous {
             // The mesh is there for the camera to see, lit up.
             Previous::Camera => Rgb::ONE,
@@ -76,7 +76,7 @@ impl Path<'_> {
 
     /// MIS weight of an area light met at `hit` along (o, d).
     pub(super) fn weight_of_hit(&self, light: u32, o: Vec3, d: Vec3, hit: &ShapeHit) -> Rgb {
-        let lights = &self.scene.lights;
+        let lights = self.scene.lights();
         self.light_weight(
             |p, n, choice| lights.pdf_hit(light, p, n, choice, d, &seen_from(p, o, d, hit)),
             |x| lights.emitter_at(light, x, o + d * hit.t, hit),
@@ -86,7 +86,7 @@ impl Path<'_> {
 
     /// MIS weight of an infinite light met along `d`.
     pub(super) fn weight_of_escaped(&self, light: u32, d: Vec3) -> Rgb {
-        let lights = &self.scene.lights;
+        let lights = self.scene.lights();
         self.light_weight(
             |p, n, choice| lights.pdf_escaped(light, p, n, choice, d),
             |x| lights.emitter_towards(light, x, d),
@@ -146,7 +146,7 @@ impl Path<'_> {
             sampler.skip_2d();
             return;
         }
-        let (all, choice) = (&self.scene.lights, self.guide.choice(lights));
+        let (all, choice) = (self.scene.lights(), self.guide.choice(lights));
         let (count, n) = (choice.count(), si.horizon());
         // A sample's points on a light are a lattice (Roberts' R2), shifted by its stratified first.
         let lattice = |first: Vec2, i: u32| (first + i as f32 * R2).fract();

@@ -11,7 +11,7 @@ use crate::bsdf::{Side, fresnel};
 use crate::interaction::Interaction;
 use crate::light::{Emitter, Place, SHORT};
 use crate::math::{Frame, Rgb, TAU};
-use crate::scene::{Scene, SurfaceHit};
+use crate::scene::{Moment, SurfaceHit};
 use glam::Vec3;
 
 /// Rays that one search may cast after its first. Those that succeed take three to five.
@@ -59,7 +59,7 @@ impl Target {
 /// The smooth interface around an object, seen from within.
 #[derive(Clone, Copy)]
 pub(super) struct Window<'a> {
-    scene: &'a Scene,
+    scene: Moment<'a>,
     instance: u32,
     /// Index of the inside / index of the outside.
     eta: f32,
@@ -109,7 +109,7 @@ impl Crossing {
 
 impl<'a> Window<'a> {
     /// `None` unless the boundary that `surface` makes of `instance` is a smooth dielectric.
-    pub fn new(scene: &'a Scene, instance: u32, surface: u32, error: f32) -> Option<Self> {
+    pub fn new(scene: Moment<'a>, instance: u32, surface: u32, error: f32) -> Option<Self> {
         let (eta, tint) = scene.surfaces[surface as usize].surface.smooth_interface()?;
         Some(Self { scene, instance, eta, tint, error })
     }
@@ -117,9 +117,7 @@ impl<'a> Window<'a> {
     /// A light's point or direction in walk space.
     pub fn target(&self, emitter: &Emitter) -> Target {
         match emitter.place {
-            Place::Point { y, .. } => {
-                Target::Point(y - self.scene.instances[self.instance as usize].to_render.translation)
-            }
+            Place::Point { y, .. } => Target::Point(y - self.scene.placed(self.instance).translation),
             Place::Direction(v) => Target::Direction(v),
         }
     }
@@ -195,9 +193,9 @@ impl<'a> Window<'a> {
     fn cast(&self, x: Vec3, d: Vec3, target: &Target) -> Option<Crossing> {
         let hit = self.scene.boundary_from_within(self.instance, x, d, f32::INFINITY)?;
         let instance = &self.scene.instances[self.instance as usize];
-        let (geometry, m) = (&instance.geometry, &instance.to_render);
+        let (geometry, m) = (&instance.geometry, &*self.scene.placed(self.instance));
         let at = |corners: [Vec3; 3]| corners[0] * (1.0 - hit.u - hit.v) + corners[1] * hit.u + corners[2] * hit.v;
-        let [a, b, c] = geometry.corners(hit.triangle);
+        let [a, b, c] = geometry.corners(hit.triangle, self.scene.time);
         let edges = [m.vector(b - a), m.vector(c - a)];
         let p = m.vector(at([a, b, c]));
         let (v, closeness) = target.seen_from(p)?;
@@ -205,10 +203,9 @@ impl<'a> Window<'a> {
         let outward = |n: Vec3, way: Vec3| if n.dot(way) < 0.0 { -1.0 } else { 1.0 };
         let flat = m.normal((b - a).cross(c - a));
         let ng = outward(flat, d) * flat;
-        let (normal, slopes) = match &geometry.normals {
+        let (normal, slopes) = match geometry.corner_normals(hit.triangle, self.scene.time) {
             None => (ng, [Vec3::ZERO; 2]),
-            Some(normals) => {
-                let corners = normals.corners(hit.triangle as usize, geometry.triangles[hit.triangle as usize]);
+            Some(corners) => {
                 let n = m.normal(at(corners));
                 let side = outward(n, ng);
                 (side * n, [1, 2].map(|k| side * m.normal(corners[k] - corners[0])))
@@ -304,6 +301,7 @@ pub(super) mod tests {
     use crate::flat::{Camera, Light, Material, Mesh, PreviewSurface, Prim, RenderSettings};
     use crate::sampling::sampler::Sampler;
     use crate::sampling::uniform_sphere;
+    use crate::scene::Scene;
     use std::sync::Arc;
 
     /// A ball with waves of the given height, interpolated normals, scaled by (1, 1, 2), of glass with hardly any medium.
@@ -353,7 +351,7 @@ pub(super) mod tests {
     }
 
     fn window(scene: &Scene) -> Window<'_> {
-        Window::new(scene, 0, 0, 1e-6).expect("a smooth dielectric")
+        Window::new(scene.at(0.0), 0, 0, 1e-6).expect("a smooth dielectric")
     }
 
     fn uniform(sampler: &mut Sampler) -> Vec3 {

@@ -255,7 +255,7 @@ impl<'a> Path<'a> {
             } else {
                 let u = Vec2::new(sampler.random(), sampler.random());
                 let choice = crate::light::Choice::ONE;
-                scene.lights.sample(enclosure.to_render(p), None, choice, sampler.random(), u).map(|light| light.wi)
+                scene.lights().sample(enclosure.to_render(p), None, choice, sampler.random(), u).map(|light| light.wi)
             };
             followed
         };

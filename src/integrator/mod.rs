@@ -22,7 +22,7 @@ use crate::guiding::{Guide, LightsAt};
 use crate::interaction::Interaction;
 use crate::math::{Rgb, mean};
 use crate::sampling::sampler::Sampler;
-use crate::scene::{Coating, NOBODY, Origin, Scene, SurfaceHit};
+use crate::scene::{Coating, Moment, NOBODY, Origin, SurfaceHit};
 use crate::subsurface::steps::WalkStats;
 use bytemuck::{Pod, Zeroable};
 use collision::Refracted;
@@ -118,7 +118,7 @@ impl Cone {
 }
 
 struct Path<'a> {
-    scene: &'a Scene,
+    scene: Moment<'a>,
     guide: &'a Guide,
     /// Where walks are logged; `None`: they have nothing to teach.
     log: Option<&'a mut WalkLog>,
@@ -150,7 +150,7 @@ struct Path<'a> {
 /// Radiance along a camera ray. Estimates may be negative where control variates are on; `log` takes what the walks
 /// have to teach.
 pub fn trace(
-    scene: &Scene,
+    scene: Moment,
     guide: &Guide,
     settings: PathSettings,
     ray: CameraRay,
@@ -163,7 +163,7 @@ pub fn trace(
     let mut path = Path { o: ray.o, d: ray.d, t_max: ray.t_max, cone, ..Path::new(scene, guide, settings, stats) };
     path.log = Some(log);
     if !scene.camera_within.is_empty() {
-        path.inside = Nest::of(scene, &scene.camera_within);
+        path.inside = Nest::of(&scene, &scene.camera_within);
         // Radiance over the square of the index is what comes out of a medium: a sensor is not wet, its housing is.
         path.throughput /= path.inside.index_beside(u32::MAX).powi(2);
     }
@@ -179,7 +179,7 @@ pub fn trace(
 
 impl<'a> Path<'a> {
     /// A path at the camera that goes nowhere yet.
-    fn new(scene: &'a Scene, guide: &'a Guide, settings: PathSettings, stats: &'a mut PathStats) -> Self {
+    fn new(scene: Moment<'a>, guide: &'a Guide, settings: PathSettings, stats: &'a mut PathStats) -> Self {
         Self {
             scene,
             guide,
@@ -293,7 +293,7 @@ impl Path<'_> {
     /// How lights are sampled at a surface that is not the first.
     fn lights_at(&self, si: &Interaction, coating: &Coating) -> LightsAt {
         let leaves = matches!(si.side, Side::Inside) && coating.interior.is_some_and(|i| i.medium.scatters());
-        let origin = self.scene.instances[si.instance as usize].to_render.translation;
+        let origin = self.scene.placed(si.instance).translation;
         if leaves { self.guide.exit_choice(si.instance, si.p - origin, si.ng) } else { LightsAt::One }
     }
 
@@ -399,7 +399,7 @@ impl Path<'_> {
         self.seen = 0.0;
         let scene = self.scene;
         self.sample.first = FirstHit {
-            depth: scene.camera.depth(si.p),
+            depth: scene.camera.depth(si.p, scene.time),
             normal: si.frame.n,
             position: (si.p.as_dvec3() + scene.camera.origin).as_vec3(),
             prim_id: scene.instances[si.instance as usize].prim_id,
@@ -418,14 +418,14 @@ fn side_of(inside: &Nest, instance: u32) -> Side {
 }
 
 /// Whether a surface of `instance` is not there, for a path amid the bodies `inside`.
-fn hides(scene: &Scene, inside: &Nest, instance: u32, coating: &Coating) -> bool {
+fn hides(scene: Moment, inside: &Nest, instance: u32, coating: &Coating) -> bool {
     let Some(interior) = coating.interior.filter(|_| !inside.is_empty()) else { return false };
     let priority = scene.instances[instance as usize].priority;
     interior.boundary != Boundary::Diffuse && inside.hides(instance, priority, interior.boundary)
 }
 
 /// The bodies beyond the boundary at `si` for a path amid `inside`; `None` where they are too many.
-fn crossed(scene: &Scene, inside: &Nest, si: &Interaction, coating: &Coating) -> Option<Nest> {
+fn crossed(scene: Moment, inside: &Nest, si: &Interaction, coating: &Coating) -> Option<Nest> {
     match si.side {
         Side::Inside => Some(inside.left(si.instance)),
         Side::Outside => {

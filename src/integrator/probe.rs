@@ -10,7 +10,7 @@ use crate::light::Choice;
 use crate::math::{PI, Rgb, mean};
 use crate::sampling::cosine_hemisphere;
 use crate::sampling::sampler::Sampler;
-use crate::scene::{BoundaryHit, InstanceEnclosure, Scene};
+use crate::scene::{BoundaryHit, InstanceEnclosure, Moment};
 use glam::{Vec2, Vec3};
 
 /// Bounces of the light that a probe follows: further ones hardly say where light comes from.
@@ -22,7 +22,7 @@ const LIGHTS: usize = 8;
 /// Light that enters the boundary of `enclosure` at `hit`, which stands for `area`; `outward` unit, render space.
 /// Walks inside media are classical: nothing is known yet.
 pub fn probe(
-    scene: &Scene,
+    scene: Moment,
     guide: &Guide,
     enclosure: &InstanceEnclosure,
     hit: &BoundaryHit,
@@ -51,15 +51,15 @@ pub fn probe(
     if around.iter().any(|body| scene.is_opaque(body)) {
         return record; // a part of a set within another: no light gets there
     }
-    let around = Nest::of(scene, &around);
+    let around = Nest::of(&scene, &around);
 
     // From lights.
     let lights = scene.lights.len();
-    let mut draws = scene.lights.draws(si.p, Some(n), Choice::ONE);
+    let mut draws = scene.lights().draws(si.p, Some(n), Choice::ONE);
     for i in 0..lights.min(LIGHTS) {
         let u = Vec2::new(sampler.random(), sampler.random());
         let sample = if lights <= LIGHTS {
-            scene.lights.sample_light(i as u32, si.p, Some(n), u)
+            scene.lights().sample_light(i as u32, si.p, Some(n), u)
         } else {
             // One from each stratum of the choice.
             let u_choice = (i as f32 + sampler.random()) / LIGHTS as f32;

@@ -7,7 +7,7 @@ use super::{crossed, hides, side_of};
 use crate::bsdf::{Boundary, Side};
 use crate::light::{SHORT, Shadow, ShapeHit};
 use crate::math::Rgb;
-use crate::scene::{Coating, Origin, Scene, SurfaceHit};
+use crate::scene::{Coating, Moment, Origin, SurfaceHit};
 use glam::Vec3;
 
 /// Faces that a shadow ray may pass before it counts as blocked.
@@ -15,7 +15,7 @@ const MAX_LAYERS: u32 = 256;
 
 /// Share of `light` that reaches along (o, d) from distance `t_max`. `inside`: the objects around `o`.
 pub(super) fn visibility(
-    scene: &Scene,
+    scene: Moment,
     light: u32,
     o: Vec3,
     d: Vec3,
@@ -31,7 +31,7 @@ pub(super) fn visibility(
 
 /// [`visibility`] from within the matched medium of an object whose boundary is `hit`.
 pub(super) fn visibility_beyond(
-    scene: &Scene,
+    scene: Moment,
     light: u32,
     hit: Option<SurfaceHit>,
     d: Vec3,
@@ -46,7 +46,7 @@ pub(super) fn visibility_beyond(
 
 /// Share of light that reaches along (o, d) from distance `t_max`: 0 or 1 past opaque things, opacity and
 /// index-matched media in between. `inside`: the objects around `o`.
-fn transmittance(scene: &Scene, o: Vec3, d: Vec3, t_max: f32, origin: Origin, inside: &Nest) -> Rgb {
+fn transmittance(scene: Moment, o: Vec3, d: Vec3, t_max: f32, origin: Origin, inside: &Nest) -> Rgb {
     if !scene.needs.transparency && inside.is_empty() {
         return if scene.occluded(o, d, t_max, origin) { Rgb::ZERO } else { Rgb::ONE };
     }
@@ -54,7 +54,7 @@ fn transmittance(scene: &Scene, o: Vec3, d: Vec3, t_max: f32, origin: Origin, in
 }
 
 /// [`transmittance`] of a ray whose first surface is `hit`.
-fn transmittance_beyond(scene: &Scene, mut hit: Option<SurfaceHit>, d: Vec3, t_max: f32, inside: &Nest) -> Rgb {
+fn transmittance_beyond(scene: Moment, mut hit: Option<SurfaceHit>, d: Vec3, t_max: f32, inside: &Nest) -> Rgb {
     let (mut left, mut inside) = (t_max, *inside);
     let mut passed = Rgb::ONE;
     for _ in 0..MAX_LAYERS {
@@ -79,7 +79,7 @@ fn transmittance_beyond(scene: &Scene, mut hit: Option<SurfaceHit>, d: Vec3, t_m
 }
 
 /// Whether light goes straight on through a surface of `instance`, into or out of it.
-fn is_passed(scene: &Scene, inside: &Nest, instance: u32, coating: &Coating) -> bool {
+fn is_passed(scene: Moment, inside: &Nest, instance: u32, coating: &Coating) -> bool {
     let matched = coating.interior.is_some_and(|interior| interior.boundary == Boundary::IndexMatched);
     matched || hides(scene, inside, instance, coating)
 }
@@ -89,7 +89,7 @@ fn is_passed(scene: &Scene, inside: &Nest, instance: u32, coating: &Coating) -> 
 /// What the objects around the point do to light on its way in, Beer's law and their boundaries, is no shadow: no rule is
 /// for that.
 struct Ruled<'a> {
-    scene: &'a Scene,
+    scene: Moment<'a>,
     shadow: &'a Shadow,
     around: Nest,
 }
@@ -154,7 +154,7 @@ impl Path<'_> {
         let (scene, o, d) = (self.scene, self.o, self.d);
         scene.light_shapes(o, d, f32::INFINITY, |light, hit| self.meet_ruled(light, hit));
         for light in scene.lights.ruled() {
-            let radiance = scene.lights.escaped(light, d);
+            let radiance = scene.lights().escaped(light, d);
             if radiance != Rgb::ZERO {
                 let weight = self.weight_of_escaped(light, d);
                 self.see_ruled(light, weight * radiance, f32::INFINITY);
@@ -184,7 +184,7 @@ impl Path<'_> {
 
     fn meet_ruled(&mut self, light: u32, hit: &ShapeHit) {
         let (scene, o, d) = (self.scene, self.o, self.d);
-        let radiance = scene.lights.radiance_hit(light, d, hit);
+        let radiance = scene.lights().radiance_hit(light, d, hit);
         if radiance != Rgb::ZERO && scene.lights.shadow(light).is_some() {
             let weight = self.weight_of_hit(light, o, d, hit);
             self.see_ruled(light, weight * radiance, hit.t * SHORT);

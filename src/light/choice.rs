@@ -5,7 +5,7 @@
 //! distant lights are weighed one by one. Sampling and pdf share the weights and the order of their sum.
 
 use super::{
-    LightSample, Lights,
+    LightSample, Lights, LightsAt,
     tree::{Descents, Receiver, Tree},
 };
 use crate::math::PI;
@@ -79,10 +79,12 @@ impl Lights {
         tree.add_parts(&mut parts);
         parts
     }
+}
 
+impl<'a> LightsAt<'a> {
     /// Lights drawn for the receiver at `p`, one by one.
-    pub fn draws<'a>(&'a self, p: Vec3, n: Option<Vec3>, choice: Choice<'a>) -> Draws<'a, impl Fn(u32) -> f64> {
-        let tree = self.tree.as_ref().map(move |tree| tree.descents(self.receiver(p, n, choice.shares())));
+    pub fn draws(self, p: Vec3, n: Option<Vec3>, choice: Choice<'a>) -> Draws<'a, impl Fn(u32) -> f64> {
+        let tree = self.all.tree.as_ref().map(move |tree| tree.descents(self.receiver(p, n, choice.shares())));
         Draws { lights: self, p, n, choice, tree }
     }
 
@@ -99,14 +101,15 @@ impl Lights {
         (f64::from(count) * probability) as f32
     }
 
-    fn receiver<'a>(&'a self, p: Vec3, n: Option<Vec3>, shares: &'a [f32]) -> Receiver<'a, impl Fn(u32) -> f64> {
+    fn receiver<'b>(self, p: Vec3, n: Option<Vec3>, shares: &'b [f32]) -> Receiver<'b, impl Fn(u32) -> f64 + use<'a>> {
         let shares = shares.get(self.beside.len()..).unwrap_or(&[]);
         Receiver { p, n, shares, weight: move |light| self.weight(light, p, n) }
     }
 
     fn weight(&self, light: u32, p: Vec3, n: Option<Vec3>) -> f64 {
         // An overflowing estimate still takes part, as the largest number.
-        f64::from(self.lights[light as usize].importance(p, n).min(f32::MAX))
+        let (light, _, p, n) = self.seen(light, p, n);
+        f64::from(light.importance(p, n).min(f32::MAX))
     }
 
     /// Those of the lights beside the tree that have weight, in order. `shares`: visible, by place; without them 1.
@@ -123,7 +126,7 @@ const ALONE: f64 = 1.0;
 
 /// Draws of lights for one receiver.
 pub struct Draws<'a, F> {
-    lights: &'a Lights,
+    lights: LightsAt<'a>,
     p: Vec3,
     n: Option<Vec3>,
     choice: Choice<'a>,
@@ -134,7 +137,7 @@ impl<F: Fn(u32) -> f64> Draws<'_, F> {
     /// A light by its estimated contribution, and a direction to it; `None`: this sample contributes nothing.
     ///
     /// The pdf counts as many samples as the choice draws. That is not `All`: of all lights each is asked by
-    /// [`Lights::sample_light`].
+    /// [`LightsAt::sample_light`].
     pub fn sample(&mut self, u_choice: f32, u: Vec2) -> Option<LightSample> {
         let (light, chosen) = self.choose(u_choice)?;
         let mut sample = self.lights.sample_light(light, self.p, self.n, u)?;
@@ -145,7 +148,8 @@ impl<F: Fn(u32) -> f64> Draws<'_, F> {
     /// A light and the probability it was chosen with; `None` where no light can reach p, or none of the cluster that was
     /// chosen.
     pub(super) fn choose(&mut self, u: f32) -> Option<(u32, f32)> {
-        let beside = self.lights.weigh(self.p, self.n, self.choice.shares());
+        let lights = self.lights;
+        let beside = lights.weigh(self.p, self.n, self.choice.shares());
         let in_tree = self
             .tree
             .as_mut()

@@ -2,8 +2,8 @@
 
 use super::{
     Light, Lights, area::AreaLight, bound::Bound, cylinder::Cylinder, disk::Disk, distant, distant::Distant,
-    dome::Dome, ellipsoid::Ellipsoid, emission::Emission, mesh::TriangleSet, rect::Rect, shape::Shape, texels::Texels,
-    tree::Tree,
+    dome::Dome, ellipsoid::Ellipsoid, emission::Emission, mesh::TriangleSet, motion::Motion, rect::Rect, shape::Shape,
+    texels::Texels, tree::Tree,
 };
 use crate::{
     error::Warning,
@@ -27,13 +27,17 @@ impl Lights {
         textures: &Prims<flat::Texture>,
         mesh_triangles: &MeshTriangles,
         origin: DVec3,
+        moves: bool,
         warnings: &mut Vec<Warning>,
     ) -> Lights {
         let mut compiled = Lights::default();
         for (path, prim) in lights.iter().filter(|(_, light)| light.visible) {
             let mut compiler = Compiler { textures, mesh_triangles, origin, path, warnings };
             match compiler.light(prim) {
-                Ok(light) if light.shines() => compiled.push(path, prim, light),
+                Ok(light) if light.shines() => {
+                    let motion = if moves { compiler.motion(prim) } else { None };
+                    compiled.push(path, prim, light, motion);
+                }
                 Ok(_) => {}
                 Err(message) => compiler.warn(format!("{message}: light dropped")),
             }
@@ -45,7 +49,10 @@ impl Lights {
     /// Sorts the lights into the tree and those beside it.
     fn plant(&mut self) {
         let bound = |(i, light): (usize, &Light)| match light {
-            Light::Area(area) => Some((i as u32, area.bound())),
+            Light::Area(area) => {
+                let motion = self.motions.get(i).and_then(Option::as_ref);
+                Some((i as u32, motion.map_or_else(|| area.bound(), |motion| motion.bound(area.bound()))))
+            }
             Light::Distant(_) | Light::Dome(_) => None,
         };
         let bounds: Vec<(u32, Bound)> = self.lights.iter().enumerate().filter_map(bound).collect();
@@ -54,8 +61,12 @@ impl Lights {
         self.beside = (0..self.lights.len() as u32).filter(beside).collect();
     }
 
-    fn push(&mut self, path: &str, prim: &flat::Light, light: Light) {
+    fn push(&mut self, path: &str, prim: &flat::Light, light: Light, motion: Option<Motion>) {
         let index = self.lights.len() as u32;
+        if motion.is_some() || self.is_moving() {
+            self.motions.resize_with(self.lights.len(), || None);
+            self.motions.push(motion);
+        }
         match (&light, &prim.shape) {
             (Light::Dome(_), _) => self.infinite.push(index),
             (Light::Distant(distant), _) if !distant.is_delta() => self.infinite.push(index),
@@ -79,6 +90,20 @@ struct Compiler<'a> {
 impl Compiler<'_> {
     fn warn(&mut self, message: String) {
         self.warnings.push(Warning::new(self.path, message));
+    }
+
+    /// `None`: it stays.
+    fn motion(&mut self, prim: &flat::Light) -> Option<Motion> {
+        let keys = prim.transform_keys.as_ref()?;
+        let place = |matrix: &flat::Matrix4d| Affine::from_usd(matrix, DVec3::ZERO, self.origin);
+        let places: Vec<Affine> = keys.transforms.iter().map(|matrices| place(&matrices[0])).collect::<Option<_>>()?;
+        let (motion, stretched) = Motion::new(&keys.times, &places, &place(&prim.transform)?)?;
+        if stretched {
+            let message =
+                "xformOps: its size changes while the shutter is open; it moves and turns with that of the frame";
+            self.warn(message.into());
+        }
+        Some(motion)
     }
 
     /// `Err` names the attribute at fault.

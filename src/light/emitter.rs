@@ -2,7 +2,11 @@
 //!
 //! The density of a target is that with which a receiver at `p`, without a normal, draws it looking straight.
 
-use super::{Choice, Light, Lights, ShapeHit, shape::Shape};
+use super::{
+    Choice, Light, Lights, LightsAt, ShapeHit,
+    motion::{Pose, to_frame},
+    shape::Shape,
+};
 use crate::math::Rgb;
 use glam::{Vec2, Vec3};
 
@@ -27,7 +31,19 @@ pub struct Emitter {
     pub delta: bool,
 }
 
-impl Lights {
+impl Emitter {
+    /// A target of the frame where it is at a time.
+    fn moved(self, pose: Option<Pose>) -> Self {
+        let Some(pose) = pose else { return self };
+        let place = match self.place {
+            Place::Point { y, hit, normal } => Place::Point { y: pose.point(y), hit, normal: pose.vector(normal) },
+            Place::Direction(wi) => Place::Direction(pose.vector(wi)),
+        };
+        Self { place, ..self }
+    }
+}
+
+impl LightsAt<'_> {
     /// A target drawn for `p`; `None`: this sample contributes nothing.
     pub fn sample_emitter(&self, p: Vec3, u_choice: f32, u: Vec2) -> Option<Emitter> {
         let (light, chosen) = self.draws(p, None, Choice::ONE).choose(u_choice)?;
@@ -36,26 +52,30 @@ impl Lights {
             let straight = if delta { f32::INFINITY } else { density };
             Emitter { light, place: Place::Direction(wi), density, straight, delta }
         };
-        match &self.lights[light as usize] {
+        let (of_frame, pose, p, _) = self.seen(light, p, None);
+        let emitter = match of_frame {
             Light::Area(area) => {
                 let s = area.shape.sample(p, u)?;
                 point(&area.shape, light, p, s.wi, &s.hit, chosen * s.pdf)
             }
             Light::Distant(distant) => Some(infinite(distant.sample(u), distant.is_delta())),
             Light::Dome(dome) => Some(infinite(dome.sample(None, u), false)),
-        }
+        };
+        emitter.map(|emitter| emitter.moved(pose))
     }
 
     /// The point `y`, met at `hit` from wherever, as a target of `p`; `None` where `p` would not draw it.
     pub fn emitter_at(&self, light: u32, p: Vec3, y: Vec3, hit: &ShapeHit) -> Option<Emitter> {
-        let Light::Area(area) = &self.lights[light as usize] else { return None };
+        let (Light::Area(area), pose, at, _) = self.seen(light, p, None) else { return None };
         let t = (y - p).length();
         let wi = (y - p).try_normalize()?;
         let hit = ShapeHit { t, ..*hit };
-        if !area.shape.faces(p) {
+        if !area.shape.faces(at) {
             return None;
         }
-        point(&area.shape, light, p, wi, &hit, self.pdf_hit(light, p, None, Choice::ONE, wi, &hit))
+        let pdf = self.pdf_hit(light, p, None, Choice::ONE, wi, &hit);
+        let emitter = point(&area.shape, light, at, to_frame(pose.as_ref(), wi), &hit, pdf)?;
+        Some(emitter.moved(pose))
     }
 
     /// The direction `wi` of an infinite light as a target of `p`; `None` where `p` would not draw it.
@@ -67,14 +87,18 @@ impl Lights {
 
     /// Radiance that arrives along `wi` from a target; irradiance of a surface facing it if `delta`.
     pub fn radiance_of(&self, emitter: &Emitter, wi: Vec3) -> Rgb {
-        match (&self.lights[emitter.light as usize], &emitter.place) {
+        let (light, pose) = self.light(emitter.light);
+        let wi = to_frame(pose.as_ref(), wi);
+        match (light, &emitter.place) {
             (Light::Area(area), Place::Point { hit, .. }) => area.radiance(wi, hit),
             (Light::Distant(distant), _) => distant.sampled_radiance(wi),
             (Light::Dome(dome), _) => dome.radiance(wi),
             (Light::Area(_), Place::Direction(_)) => Rgb::ZERO,
         }
     }
+}
 
+impl Lights {
     /// Whether some light is small as seen from anywhere: it has a shape, an angle, or no size at all.
     pub fn has_small(&self) -> bool {
         self.lights.iter().any(|light| match light {

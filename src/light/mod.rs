@@ -22,6 +22,7 @@ mod lanes;
 mod latlong;
 mod linking;
 mod mesh;
+mod motion;
 mod patch;
 mod rect;
 mod shadow;
@@ -40,11 +41,13 @@ pub use distant::Distant;
 pub use dome::Dome;
 pub use emitter::{Emitter, Place};
 pub use linking::{Categories, Members};
+pub use motion::LightsAt;
 pub use shadow::Shadow;
 pub use shape::{Shape, ShapeHit};
 
 use crate::math::Rgb;
 use glam::{Vec2, Vec3};
+use motion::{to_frame, to_time};
 use std::collections::BTreeMap;
 
 #[derive(Debug, Clone)]
@@ -101,7 +104,10 @@ impl LightSample {
 /// All lights of a scene that emit anything.
 #[derive(Debug, Clone, Default)]
 pub struct Lights {
+    /// At the frame.
     lights: Vec<Light>,
+    /// By light; empty where none moves.
+    motions: Vec<Option<motion::Motion>>,
     paths: Vec<String>,
     camera_visible: Vec<bool>,
     /// Domes and distant lights of positive angle.
@@ -145,6 +151,24 @@ impl Lights {
         self.meshes.get(mesh).copied()
     }
 
+    /// Area lights that rays meet by [`LightsAt::intersect`], each with the box (min, max) of all its places.
+    pub fn shapes(&self) -> impl Iterator<Item = (u32, (Vec3, Vec3))> {
+        self.lights.iter().enumerate().filter_map(|(i, light)| match light {
+            Light::Area(AreaLight { shape: Shape::Mesh(_), .. }) | Light::Distant(_) | Light::Dome(_) => None,
+            Light::Area(area) => {
+                let (motion, still) = (self.motions.get(i).and_then(Option::as_ref), area.shape.bounds());
+                Some((i as u32, motion.map_or(still, |motion| motion.swept(still))))
+            }
+        })
+    }
+
+    /// Lights that a ray which leaves the scene may see.
+    pub fn infinite(&self) -> &[u32] {
+        &self.infinite
+    }
+}
+
+impl LightsAt<'_> {
     /// A light drawn by its estimated contribution at `p`, as [`Draws::sample`] does. `n` is the normal of a receiver that takes
     /// light from its side only; without it light from all around counts.
     pub fn sample(&self, p: Vec3, n: Option<Vec3>, choice: Choice, u_choice: f32, u: Vec2) -> Option<LightSample> {
@@ -161,7 +185,8 @@ impl Lights {
             pdf,
             delta,
         };
-        match &self.lights[light as usize] {
+        let (of_frame, pose, p, n) = self.seen(light, p, n);
+        let sample = match of_frame {
             Light::Area(area) => area.shape.sample(p, u).map(|s| LightSample {
                 light,
                 wi: s.wi,
@@ -178,53 +203,46 @@ impl Lights {
                 let s = dome.sample(n, u);
                 Some(infinite(s, dome.radiance(s.0), false))
             }
-        }
+        };
+        sample.map(|sample| LightSample { wi: to_time(pose.as_ref(), sample.wi), ..sample })
     }
 
     /// Solid-angle pdf with which [`Self::sample`] gives the direction `wi` that meets an area light at
     /// `hit`, choice included. Mesh lights: [`ShapeHit::on_mesh`].
     pub fn pdf_hit(&self, light: u32, p: Vec3, n: Option<Vec3>, choice: Choice, wi: Vec3, hit: &ShapeHit) -> f32 {
-        let Light::Area(area) = &self.lights[light as usize] else { return 0.0 };
-        area.shape.pdf(p, wi, hit) * self.choice_probability(light, p, n, choice)
+        let (Light::Area(area), pose, at, _) = self.seen(light, p, n) else { return 0.0 };
+        area.shape.pdf(at, to_frame(pose.as_ref(), wi), hit) * self.choice_probability(light, p, n, choice)
     }
 
     /// Whether `light` may give anything at p.
     pub fn reaches(&self, light: u32, p: Vec3, n: Option<Vec3>) -> bool {
-        self.lights[light as usize].importance(p, n) > 0.0
+        let (light, _, p, n) = self.seen(light, p, n);
+        light.importance(p, n) > 0.0
     }
 
     /// Radiance that arrives along `wi` from `hit` on an area light; zero from its dark side.
     pub fn radiance_hit(&self, light: u32, wi: Vec3, hit: &ShapeHit) -> Rgb {
-        match &self.lights[light as usize] {
-            Light::Area(area) => area.radiance(wi, hit),
+        let (light, pose) = self.light(light);
+        match light {
+            Light::Area(area) => area.radiance(to_frame(pose.as_ref(), wi), hit),
             Light::Distant(_) | Light::Dome(_) => Rgb::ZERO,
         }
     }
 
-    /// Area lights that rays meet by [`Self::intersect`], each with its box (min, max).
-    pub fn shapes(&self) -> impl Iterator<Item = (u32, (Vec3, Vec3))> {
-        self.lights.iter().enumerate().filter_map(|(i, light)| match light {
-            Light::Area(AreaLight { shape: Shape::Mesh(_), .. }) | Light::Distant(_) | Light::Dome(_) => None,
-            Light::Area(area) => Some((i as u32, area.shape.bounds())),
-        })
-    }
-
     /// Nearest hit of the emitting side with t in (0, t_max), `d` unit. Dark sides let rays pass.
     pub fn intersect(&self, light: u32, o: Vec3, d: Vec3, t_max: f32) -> Option<ShapeHit> {
-        match &self.lights[light as usize] {
-            Light::Area(area) => area.shape.intersect(o, d, t_max),
+        let (light, pose, o, _) = self.seen(light, o, None);
+        match light {
+            Light::Area(area) => area.shape.intersect(o, to_frame(pose.as_ref(), d), t_max),
             Light::Distant(_) | Light::Dome(_) => None,
         }
     }
 
-    /// Lights that a ray which leaves the scene may see.
-    pub fn infinite(&self) -> &[u32] {
-        &self.infinite
-    }
-
     /// Radiance of an infinite light from direction `wi`.
     pub fn escaped(&self, light: u32, wi: Vec3) -> Rgb {
-        match &self.lights[light as usize] {
+        let (light, pose) = self.light(light);
+        let wi = to_frame(pose.as_ref(), wi);
+        match light {
             Light::Distant(distant) => distant.radiance(wi),
             Light::Dome(dome) => dome.radiance(wi),
             Light::Area(_) => Rgb::ZERO,
@@ -233,9 +251,11 @@ impl Lights {
 
     /// Solid-angle pdf with which [`Self::sample`] gives direction `wi` to an infinite light, choice included.
     pub fn pdf_escaped(&self, light: u32, p: Vec3, n: Option<Vec3>, choice: Choice, wi: Vec3) -> f32 {
-        let pdf = match &self.lights[light as usize] {
-            Light::Distant(distant) => distant.pdf(wi),
-            Light::Dome(dome) => dome.pdf(n, wi),
+        let (of_frame, pose, _, turned) = self.seen(light, p, n);
+        let of_wi = to_frame(pose.as_ref(), wi);
+        let pdf = match of_frame {
+            Light::Distant(distant) => distant.pdf(of_wi),
+            Light::Dome(dome) => dome.pdf(turned, of_wi),
             Light::Area(_) => 0.0,
         };
         if pdf > 0.0 { pdf * self.choice_probability(light, p, n, choice) } else { 0.0 }

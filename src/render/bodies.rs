@@ -56,7 +56,7 @@ fn apparent_sizes(scene: &Scene, guide: &Guide) -> Vec<(u32, f64)> {
 /// Area of what needs records, object space.
 fn object_area(guide: &Guide, instance: &Instance) -> f64 {
     let area = |triangle: u32| {
-        let [a, b, c] = instance.geometry.corners(triangle);
+        let [a, b, c] = instance.geometry.corners(triangle, 0.5);
         f64::from(0.5 * (b - a).cross(c - a).length())
     };
     if instance.geometry.slots.is_none() && !needs_records(guide, instance, 0) {

@@ -177,8 +177,12 @@ fn render_tile(
             let u_filter = sampler.next_2d();
             let u_lens = if lens { sampler.next_2d() } else { sampler.skip_2d() };
             let raster = Vec2::new(x as f32 + 0.5 + tent(u_filter.x), y as f32 + 0.5 + tent(u_filter.y));
-            let ray = scene.camera.ray(raster, u_lens);
-            let sample = trace(scene, guide, path, ray, &mut sampler, &mut stats, &mut log);
+            let time = scene.frozen.unwrap_or_else(|| sampler.time());
+            let ray = scene.camera.ray(raster, u_lens, time);
+            let mut sample = trace(scene.at(time), guide, path, ray, &mut sampler, &mut stats, &mut log);
+            if let Some(surface) = sample.surface.filter(|_| tile.watches_motion()) {
+                sample.motion = scene.motion_vector(&surface);
+            }
             tile.add(i, &sample);
             if let Some(surface) = sample.surface.filter(|_| !primvars.is_empty()) {
                 tile.add_primvars(i, primvars.iter().map(|name| scene.primvar_at(&surface, name)));

@@ -16,7 +16,7 @@ use crate::medium::Medium;
 use crate::sampling::cosine_hemisphere;
 use crate::sampling::distribution::Distribution1D;
 use crate::sampling::sampler::Sampler;
-use crate::scene::{BoundaryHit, InstanceEnclosure, Scene};
+use crate::scene::{BoundaryHit, InstanceEnclosure, Moment, Scene};
 use crate::subsurface::kernel::diffusion_length;
 use crate::subsurface::steps::{Start, WalkEnd, WalkStats};
 use crate::subsurface::walk::{Along, walk};
@@ -66,7 +66,7 @@ pub fn train(scene: &Scene, settings: &RenderSettings, guide: &mut Guide) -> Tra
     let learned = guide.exit_lights == ExitLights::Learned && !shares.is_empty();
     let parts = if learned { scene.lights.parts() } else { Parts::default() };
     for (instance, count) in shares {
-        let Some(boundary) = BoundaryOf::new(scene, guide, instance) else { continue };
+        let Some(boundary) = BoundaryOf::new(scene.middle(), guide, instance) else { continue };
         let (found, seen) = match settings.cache_fill.as_str() {
             "camera" => boundary.records_by_walks(guide, settings, count),
             _ => boundary.records_by_area(guide, settings.seed, count),
@@ -89,7 +89,7 @@ fn record_count(scene: &Scene, settings: &RenderSettings) -> u32 {
 
 /// The part of an instance's surface that a medium lies behind.
 struct BoundaryOf<'a> {
-    scene: &'a Scene,
+    scene: Moment<'a>,
     instance: u32,
     enclosure: InstanceEnclosure<'a>,
     triangles: Vec<u32>,
@@ -102,19 +102,19 @@ struct BoundaryOf<'a> {
 
 impl<'a> BoundaryOf<'a> {
     /// `None`: no plan needs to know this boundary.
-    fn new(scene: &'a Scene, guide: &Guide, instance: u32) -> Option<Self> {
-        let of = &scene.instances[instance as usize];
+    fn new(scene: Moment<'a>, guide: &Guide, instance: u32) -> Option<Self> {
+        let (of, placed) = (&scene.instances[instance as usize], scene.placed(instance));
         let triangles: Vec<u32> =
             (0..of.geometry.triangles.len() as u32).filter(|&triangle| needs_records(guide, of, triangle)).collect();
         let (plan, medium) = guide.plan(of.surfaces + of.geometry.slot(*triangles.first()?) as u32)?;
         let edges = |triangle: u32| {
-            let [a, b, c] = of.geometry.corners(triangle).map(|p| of.to_render.linear * p);
+            let [a, b, c] = of.geometry.corners(triangle, scene.time).map(|p| placed.linear * p);
             (a, (b - a).cross(c - a))
         };
         let areas = Distribution1D::new(triangles.iter().map(|&t| f64::from(0.5 * edges(t).1.length())))?;
         // Six times the signed volume, in object space: inside out if negative.
         let volume: f32 = (0..of.geometry.triangles.len() as u32)
-            .map(|t| of.geometry.corners(t))
+            .map(|t| of.geometry.corners(t, scene.time))
             .map(|[a, b, c]| a.dot(b.cross(c)))
             .sum();
         Some(Self {
@@ -152,8 +152,9 @@ impl<'a> BoundaryOf<'a> {
         stats: &mut PathStats,
     ) -> Record {
         let of = &self.scene.instances[self.instance as usize];
-        let [a, b, c] = of.geometry.corners(hit.triangle);
-        let outward = self.outward * of.to_render.normal((b - a).cross(c - a)).normalize_or(Vec3::Z);
+        let [a, b, c] = of.geometry.corners(hit.triangle, self.scene.time);
+        let outward =
+            self.outward * self.scene.placed(self.instance).normal((b - a).cross(c - a)).normalize_or(Vec3::Z);
         probe(self.scene, guide, &self.enclosure, hit, outward, area, sampler, stats)
     }
 
@@ -166,7 +167,7 @@ impl<'a> BoundaryOf<'a> {
             let at = Vec2::new(sampler.random(), sampler.random());
             let size = Vec2::new(window.width() as f32, window.height() as f32);
             let raster = Vec2::new(window.x0 as f32, window.y0 as f32) + at * size;
-            let ray = self.scene.camera.ray(raster, Vec2::splat(0.5));
+            let ray = self.scene.camera.ray(raster, Vec2::splat(0.5), self.scene.time);
             let hit = self.scene.closest(ray.o, ray.d, ray.t_max, None)?;
             let of = &self.scene.instances[self.instance as usize];
             let ours = hit.instance == self.instance
@@ -240,7 +241,7 @@ impl<'a> BoundaryOf<'a> {
         let distance = (of.to_render.translation.length() - of.half_size().length()).max(of.half_size().min_element());
         let camera = &self.scene.camera;
         let middle = Vec2::new(camera.size[0] as f32, camera.size[1] as f32) * 0.5;
-        let [a, b] = [middle, middle + Vec2::X].map(|raster| camera.ray(raster, Vec2::splat(0.5)));
+        let [a, b] = [middle, middle + Vec2::X].map(|raster| camera.ray(raster, Vec2::splat(0.5), self.scene.time));
         (b.o + b.d * distance - a.o - a.d * distance).length()
     }
 }

@@ -8,15 +8,18 @@ use std::sync::LazyLock;
 /// Dimensions below this one are Sobol; a walk's thousands are not.
 const SOBOL_DIMENSIONS: u32 = 64;
 
+/// The dimension of the path's time: whoever asks for it moves no other number.
+const TIME: u32 = SOBOL_DIMENSIONS;
+
 /// Samples of one sobol_burley sequence (its documented maximum is 2^16); further ones are reseeded.
 const SEQUENCE: u32 = 1 << 16;
 
 /// By dimension and hexadecimal digit of the reversed index: what the digit gives of the Sobol point, whose digits are joined by
 /// xor. 16 KB.
-type Digits = [[[u32; 16]; 4]; SOBOL_DIMENSIONS as usize];
+type Digits = [[[u32; 16]; 4]; TIME as usize + 1];
 
 static DIGITS: LazyLock<Box<Digits>> = LazyLock::new(|| {
-    let mut digits = Box::new([[[0; 16]; 4]; SOBOL_DIMENSIONS as usize]);
+    let mut digits = Box::new([[[0; 16]; 4]; TIME as usize + 1]);
     for (dimension, places) in digits.iter_mut().enumerate() {
         for (place, values) in places.iter_mut().enumerate() {
             for (value, point) in values.iter_mut().enumerate() {
@@ -57,7 +60,7 @@ impl Sampler {
     /// A number in [0, 1).
     pub fn next_1d(&mut self) -> f32 {
         if self.dimension < SOBOL_DIMENSIONS {
-            let u = self.sobol();
+            let u = self.sobol(self.dimension);
             self.dimension += 1;
             return u;
         }
@@ -66,12 +69,12 @@ impl Sampler {
 
     /// `sobol_burley::sample` to the bit, whose shuffling of the index is made once and whose point comes from a table.
     #[inline]
-    fn sobol(&self) -> f32 {
-        let places = &self.digits[self.dimension as usize];
+    fn sobol(&self, dimension: u32) -> f32 {
+        let places = &self.digits[dimension as usize];
         let digit = |place: usize| places[place][(self.shuffled >> (28 - 4 * place)) as usize & 15];
         let point = digit(0) ^ digit(1) ^ digit(2) ^ digit(3);
-        let lane = [0x912f_69ba, 0x174f_18ab, 0x691e_72ca, 0xb40c_c1b8][self.dimension as usize & 3];
-        let scramble = (self.dimension >> 2) ^ self.seed.wrapping_mul(0x9c8f_2d3b) ^ lane;
+        let lane = [0x912f_69ba, 0x174f_18ab, 0x691e_72ca, 0xb40c_c1b8][dimension as usize & 3];
+        let scramble = (dimension >> 2) ^ self.seed.wrapping_mul(0x9c8f_2d3b) ^ lane;
         let scrambled = parts::owen_scramble_rev(point, parts::hash(scramble));
         parts::u32_to_f32_norm(scrambled.reverse_bits())
     }
@@ -94,6 +97,11 @@ impl Sampler {
         self.skip_1d();
         self.skip_1d();
         Vec2::ZERO
+    }
+
+    /// The path's time in [0, 1).
+    pub fn time(&self) -> f32 {
+        self.sobol(TIME)
     }
 
     /// A number in [0, 1) from the hashed stream: SplitMix64 (Steele et al. 2014), top 24 bits.
@@ -137,6 +145,7 @@ mod tests {
                 let expected = sobol_burley::sample(sample, dimension, sampler.seed);
                 assert_eq!(sampler.next_1d(), expected, "dimension {dimension} of sample {sample}");
             }
+            assert_eq!(sampler.time(), sobol_burley::sample(sample, TIME, sampler.seed));
         }
     }
 

@@ -161,17 +161,19 @@ fn reaches_into(instance: &Instance, within: &Aabb) -> bool {
     let (centre, half) = (within.centre(), within.extent() * 0.5);
     let linear = instance.to_render.linear;
     let shift = instance.to_render.translation - centre;
-    (0..instance.geometry.triangles.len() as u32).any(|triangle| {
-        let [a, b, c] = instance.geometry.corners(triangle).map(|p| linear * p + shift);
-        let (min, max) = (a.min(b).min(c), a.max(b).max(c));
-        let n = (b - a).cross(c - a);
-        min.cmple(half).all() && max.cmpge(-half).all() && n.dot(a).abs() <= n.abs().dot(half)
-    })
+    // What moves is somewhere in its box.
+    instance.is_moving()
+        || (0..instance.geometry.triangles.len() as u32).any(|triangle| {
+            let [a, b, c] = instance.geometry.corners(triangle, 0.0).map(|p| linear * p + shift);
+            let (min, max) = (a.min(b).min(c), a.max(b).max(c));
+            let n = (b - a).cross(c - a);
+            min.cmple(half).all() && max.cmpge(-half).all() && n.dot(a).abs() <= n.abs().dot(half)
+        })
 }
 
 /// The sign of the volume that the winding of a mesh says it has.
 pub fn outward(instance: &Instance) -> f32 {
-    let corners = (0..instance.geometry.triangles.len() as u32).map(|t| instance.geometry.corners(t));
+    let corners = (0..instance.geometry.triangles.len() as u32).map(|t| instance.geometry.corners(t, 0.0));
     let volume: f32 = corners.map(|[a, b, c]| a.dot(b.cross(c))).sum();
     if volume < 0.0 { -1.0 } else { 1.0 }
 }
@@ -201,7 +203,7 @@ const PROBES: [Vec3; 3] =
 /// Crossings of one ray with one mesh that are counted.
 const MOST_CROSSINGS: usize = 4096;
 
-impl super::Scene {
+impl super::Moment<'_> {
     /// The bodies around `p` (render space) but for the instance `but`, outermost first: closed meshes with a medium.
     pub fn around(&self, p: Vec3, but: u32) -> Vec<Around> {
         let mut found = Vec::new();
@@ -232,13 +234,15 @@ impl super::Scene {
     /// Crossings outward less those inward, and the first one.
     fn winding(&self, instance: u32, p: Vec3, d: Vec3) -> (i32, Option<(f32, u32)>) {
         let of = &self.instances[instance as usize];
-        let (mut o, mut skip, mut winding, mut first) = (p - of.to_render.translation, u32::MAX, 0, None);
+        let placed = of.placed(self.time);
+        let (mut o, mut skip, mut winding, mut first) = (p - placed.translation, u32::MAX, 0, None);
         // A crossing on an edge counts once: the next begins a few roundings later.
         let step = 16.0 * f32::EPSILON * of.half_size().max_element();
         for _ in 0..MOST_CROSSINGS {
-            let Some(hit) = of.geometry.blas.closest_skip(&of.local_ray(o, d, f32::INFINITY), skip) else { break };
-            let [a, b, c] = of.geometry.corners(hit.triangle);
-            winding += if of.to_render.normal((b - a).cross(c - a)).dot(d) > 0.0 { 1 } else { -1 };
+            let local = of.local_ray(&placed, o, d, f32::INFINITY);
+            let Some(hit) = of.geometry.closest(&local, skip, self.time) else { break };
+            let [a, b, c] = of.geometry.corners(hit.triangle, self.time);
+            winding += if placed.normal((b - a).cross(c - a)).dot(d) > 0.0 { 1 } else { -1 };
             first = first.or(Some((hit.t, hit.triangle)));
             (o, skip) = (o + d * (hit.t + step), hit.triangle);
         }

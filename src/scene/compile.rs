@@ -4,7 +4,8 @@ use super::accel::{Aabb, Tlas};
 use super::company::companies;
 use super::displace::Displacement;
 use super::image::{ImageCache, build_images};
-use super::{Coating, Driven, Geometry, Instance, InstancePrimvars, Interior, Needs, Scene, nesting};
+use super::motion::combined;
+use super::{Coating, Driven, Geometry, Instance, InstancePrimvars, Interior, Moves, Needs, Scene, nesting};
 use crate::bsdf::{self, Boundary, InteriorAlbedo, OfMesh, Surface};
 use crate::camera::Camera;
 use crate::error::{Error, Result, Warning};
@@ -86,7 +87,11 @@ pub fn compile(flat: &FlatScene, kept: &mut Kept, warnings: &mut Vec<Warning>) -
 
     let boxes: Vec<Aabb> = instances.iter().map(render_bounds).collect();
     let shapes: Vec<(u32, Aabb)> = lights.shapes().map(|(light, (min, max))| (light, Aabb { min, max })).collect();
+    let moves = instances.iter().any(Instance::is_moving);
+    let anything_moves = moves || camera.is_moving() || lights.is_moving();
     let mut scene = Scene {
+        moves,
+        frozen: (!anything_moves || flat.settings.disable_motion_blur).then(|| camera.time_of_frame()),
         companies: companies(&instances, &boxes, &surfaces, &lights, &sets),
         camera_within: Vec::new(),
         tlas: Tlas::build(&boxes),
@@ -121,20 +126,23 @@ fn names<'a>(keys: impl Iterator<Item = &'a String>) -> String {
 fn build_geometry(flat: &FlatScene, images: &ImageCache, cache: &mut GeometryCache) -> usize {
     let level = |mesh: &flat::Mesh| level_of(mesh, &flat.settings);
     let displacement = |mesh: &flat::Mesh| Displacement::of(mesh, &flat.materials, images);
-    let holds = |geometry: &Geometry, mesh: &flat::Mesh| {
+    let emits = emitting_meshes(flat);
+    let deforms =
+        |path: &String, mesh: &flat::Mesh| mesh.point_keys.is_some() && flat.moves() && !emits.contains(path.as_str());
+    let holds = |path: &String, geometry: &Geometry, mesh: &flat::Mesh| {
         let same = match (&geometry.displacement, &displacement(mesh)) {
             (Some(was), Some(is)) => was.same(is),
             (was, is) => was.is_none() && is.is_none(),
         };
-        same && geometry.asked_level() == level(mesh)
+        same && geometry.asked_level() == level(mesh) && geometry.deformation.is_some() == deforms(path, mesh)
     };
-    cache.retain(|path, geometry| flat.meshes.get(path).is_some_and(|mesh| holds(geometry, mesh)));
+    cache.retain(|path, geometry| flat.meshes.get(path).is_some_and(|mesh| holds(path, geometry, mesh)));
     let missing: Vec<(&String, &flat::Mesh)> =
         flat.meshes.iter().filter(|(path, mesh)| mesh.visible && !cache.contains_key(*path)).collect();
     let built: Vec<(String, Arc<Geometry>)> = missing
         .par_iter()
         .map(|(path, mesh)| {
-            let geometry = Geometry::compile(mesh, level(mesh), displacement(mesh), images);
+            let geometry = Geometry::compile(mesh, level(mesh), deforms(path, mesh), displacement(mesh), images);
             ((*path).clone(), Arc::new(geometry))
         })
         .collect();
@@ -143,11 +151,24 @@ fn build_geometry(flat: &FlatScene, images: &ImageCache, cache: &mut GeometryCac
     count
 }
 
-/// Bounds of an instance in render space.
+/// Meshes that are lights, too: they keep their shape, which the lights know at the frame alone.
+fn emitting_meshes(flat: &FlatScene) -> BTreeSet<&str> {
+    let shapes = flat.lights.values().map(|light| &light.shape);
+    shapes.filter_map(|shape| if let LightShape::Mesh { mesh } = shape { Some(mesh.as_str()) } else { None }).collect()
+}
+
+/// Bounds of an instance in render space, all the time: between keys its points go straight.
 fn render_bounds(instance: &Instance) -> Aabb {
-    let bounds = instance.geometry.blas.bounds();
-    let centre = instance.to_render.point((bounds.min + bounds.max) * 0.5);
-    let half = instance.to_render.linear.abs() * ((bounds.max - bounds.min) * 0.5);
+    match &instance.moves {
+        None => bounds_at(instance, &instance.to_render),
+        Some(moves) => moves.values().iter().fold(Aabb::EMPTY, |all, at| all.union(&bounds_at(instance, at))),
+    }
+}
+
+fn bounds_at(instance: &Instance, placed: &Affine) -> Aabb {
+    let bounds = instance.geometry.bounds();
+    let centre = placed.point((bounds.min + bounds.max) * 0.5);
+    let half = placed.linear.abs() * ((bounds.max - bounds.min) * 0.5);
     // The map of the box rounds: a few ulps of its corners keep the instance inside.
     let slack = 8.0 * f32::EPSILON * (centre.abs() + half);
     Aabb { min: centre - half - slack, max: centre + half + slack }
@@ -155,6 +176,13 @@ fn render_bounds(instance: &Instance) -> Aabb {
 
 /// Triangles of mesh lights in render space, by mesh path.
 type Emitters = BTreeMap<String, Vec<[Vec3; 3]>>;
+
+/// As which instance a mesh stands where at the frame and by time of the shutter, and the colour that an instancer gives
+/// it there.
+type Placement = (usize, Affine, Option<Moves>, Option<Vec3>);
+
+/// What an instancer does with one of its instances.
+type Within<'a> = (&'a flat::Matrix4d, Option<&'a flat::TransformKeys>, usize);
 
 struct Builder<'a> {
     flat: &'a FlatScene,
@@ -188,6 +216,10 @@ impl Builder<'_> {
             }
             self.note_refinement(path, geometry);
             self.note_displacement(path, geometry);
+            if mesh.point_keys.is_some() && self.flat.moves() && emitters.contains_key(path) {
+                let message = "points: they move while the shutter is open, but a mesh that is a light keeps its shape";
+                self.warnings.push(Warning::new(path, message));
+            }
             let surfaces = self.coat(path, mesh, geometry);
             let priority = self.priority(mesh);
             self.note_set(path, mesh, surfaces, instances.len()..instances.len() + placements.len());
@@ -195,11 +227,14 @@ impl Builder<'_> {
             self.needs.triangles += geometry.triangles.len() as u64;
             self.needs.instanced += placements.len() as u32 - 1;
             let primvars = self.instance_primvars(mesh);
-            for (i, to_render, display_color) in placements {
-                let translated = to_render.linear == Mat3::IDENTITY;
+            for (i, to_render, moves, display_color) in placements {
+                let is_identity = |place: &Affine| place.linear == Mat3::IDENTITY;
+                let keys = moves.as_ref().map_or(&[][..], |moves| moves.values());
+                let translated = is_identity(&to_render) && keys.iter().all(is_identity);
                 let instance = Instance {
                     geometry: geometry.clone(),
                     to_render,
+                    moves: moves.map(Box::new),
                     surfaces,
                     priority,
                     prim_id: prim_id as i32,
@@ -300,24 +335,29 @@ impl Builder<'_> {
     }
 
     /// Where a mesh stands, as which instance, and the colour that an instancer gives it there.
-    fn placements(&mut self, path: &str, mesh: &flat::Mesh, centre: DVec3) -> Vec<(usize, Affine, Option<Vec3>)> {
-        let mut place = |i: usize, m: &flat::Matrix4d, color: Option<&[f32; 3]>| {
+    fn placements(&mut self, path: &str, mesh: &flat::Mesh, centre: DVec3) -> Vec<Placement> {
+        let moves = self.flat.moves();
+        let mut place = |m: &flat::Matrix4d, within: Within, color: Option<&[f32; 3]>| {
             let placed = Affine::from_usd(m, centre, self.origin);
             if placed.is_none() {
                 self.warnings
                     .push(Warning::new(path, "xformOp: the transform has no inverse in f32; placement left out"));
             }
+            let own = (&mesh.transform, mesh.transform_keys.as_ref());
+            let keys = moves.then(|| combined(own, within)).flatten();
+            let moves = keys.and_then(|keys| Moves::new_by(keys, |m| Affine::from_usd(m, centre, self.origin)));
             // NaN: the instance has none.
             let color = color.map(|c| Vec3::from(*c)).filter(|c| c.is_finite());
-            placed.map(|placed| (i, placed, color.map(|c| c.clamp(Vec3::ZERO, Vec3::ONE))))
+            placed.map(|placed| (within.2, placed, moves, color.map(|c| c.clamp(Vec3::ZERO, Vec3::ONE))))
         };
         if mesh.instancer.is_empty() {
-            return place(0, &mesh.transform, None).into_iter().collect();
+            return place(&mesh.transform, (&flat::IDENTITY, None, 0), None).into_iter().collect();
         }
         let Some(instancer) = self.flat.instancers.get(&mesh.instancer).filter(|i| i.visible) else {
             return Vec::new();
         };
-        let placed = |(i, m)| place(i, &multiply(&mesh.transform, m), instancer.display_color.get(i));
+        let keys = instancer.transform_keys.as_ref();
+        let placed = |(i, m)| place(&multiply(&mesh.transform, m), (m, keys, i), instancer.display_color.get(i));
         instancer.transforms.iter().enumerate().filter_map(placed).collect()
     }
 
@@ -416,13 +456,26 @@ impl Builder<'_> {
     /// Compiles the lights and tells instances of mesh lights which triangles are theirs.
     fn lights(&mut self, instances: &mut [Instance], emitters: Emitters) -> Lights {
         let triangles = |mesh: &str| emitters.get(mesh).filter(|t| !t.is_empty()).cloned();
-        let lights = Lights::compile(&self.flat.lights, &self.flat.textures, &triangles, self.origin, self.warnings);
+        let lights = Lights::compile(
+            &self.flat.lights,
+            &self.flat.textures,
+            &triangles,
+            self.origin,
+            self.flat.moves(),
+            self.warnings,
+        );
         let paths: Vec<&String> = self.flat.meshes.keys().collect();
         let mut next: BTreeMap<i32, u32> = BTreeMap::new();
         for instance in instances {
             let Some(light) = lights.mesh_light(paths[instance.prim_id as usize]) else { continue };
             let first = next.entry(instance.prim_id).or_default();
             instance.light = Some((light, *first));
+            if instance.moves.is_some() && !lights.moves(light) {
+                let message =
+                    "its transform changes while the shutter is open, that of its light does not: it stays where it is";
+                self.warnings.push(Warning::new(paths[instance.prim_id as usize], message));
+                instance.moves = None;
+            }
             *first += instance.geometry.triangles.len() as u32;
         }
         lights
@@ -454,6 +507,10 @@ impl Builder<'_> {
         needs.texture_bytes = self.images.values().map(|image| image.memory() as u64).sum();
         needs.paged_images = self.images.values().filter(|image| image.is_paged()).count() as u32;
         needs.texture_memory = self.flat.settings.texture_memory;
+        needs.moving_instances = instances.iter().filter(|i| i.moves.is_some()).count() as u32;
+        needs.deforming_meshes = instances.iter().filter(|i| i.geometry.deformation.is_some()).count() as u32;
+        needs.moving_lights = lights.moving() as u32;
+        needs.moving_camera = camera.is_moving();
         needs.depth_of_field = camera.has_depth_of_field();
         needs.aovs = self.flat.settings.aovs.clone();
         for coating in &self.surfaces {
@@ -491,7 +548,7 @@ fn lanes(primvar: &AnyPrimvar) -> Vec<Vec4> {
 }
 
 /// Row-vector product: first `a`, then `b`.
-fn multiply(a: &flat::Matrix4d, b: &flat::Matrix4d) -> flat::Matrix4d {
+pub(super) fn multiply(a: &flat::Matrix4d, b: &flat::Matrix4d) -> flat::Matrix4d {
     std::array::from_fn(|i| std::array::from_fn(|j| (0..4).map(|k| a[i][k] * b[k][j]).sum()))
 }
 
@@ -499,7 +556,7 @@ fn multiply(a: &flat::Matrix4d, b: &flat::Matrix4d) -> flat::Matrix4d {
 fn render_triangles(instance: &Instance) -> impl Iterator<Item = [Vec3; 3]> + '_ {
     let mirrored = instance.to_render.linear.determinant() < 0.0;
     (0..instance.geometry.triangles.len() as u32).map(move |i| {
-        let [a, b, c] = instance.geometry.corners(i).map(|p| instance.to_render.point(p));
+        let [a, b, c] = instance.geometry.corners(i, 0.0).map(|p| instance.to_render.point(p));
         if mirrored { [a, c, b] } else { [a, b, c] }
     })
 }

@@ -177,6 +177,7 @@ impl Driven {
             corners: geometry.triangles.first().copied()?,
             at: Vec2::splat(1.0 / 3.0),
             across: None,
+            time: 0.0,
         };
         let normal = normal.filter(|(_, primvar)| {
             let there = geometry.primvars.contains_key(primvar);
@@ -249,8 +250,9 @@ fn bend(n: Vec3, st: &Values, instance: &Instance, lookup: &Lookup, front: Vec3)
     if !n.is_finite() || (n.x == 0.0 && n.y == 0.0) {
         return None;
     }
-    let [a, b, c] = instance.geometry.corners(lookup.triangle as u32);
-    let [e1, e2] = [b - a, c - a].map(|edge| instance.to_render.vector(edge));
+    let [a, b, c] = instance.geometry.corners(lookup.triangle as u32, lookup.time);
+    let placed = instance.placed(lookup.time);
+    let [e1, e2] = [b - a, c - a].map(|edge| placed.vector(edge));
     let at = |u, v| st.at(lookup.triangle, lookup.corners, u, v).truncate().truncate();
     let origin = at(0.0, 0.0);
     let (d1, d2) = (at(1.0, 0.0) - origin, at(0.0, 1.0) - origin);

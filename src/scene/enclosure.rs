@@ -2,18 +2,20 @@
 
 use super::accel::Ray;
 use super::company::{Company, Objects};
-use super::{Instance, Scene, SurfaceHit};
+use super::{Instance, Moment, Placed, SurfaceHit};
+use crate::math::Affine;
 use crate::subsurface::steps::Enclosure;
 use glam::{DMat3, DVec3, Mat3, Vec3};
 
 /// Walk space: render space relative to the instance's origin, so that positions are as small as the
 /// object, however far it is from the camera. Lengths are stage units.
 pub struct InstanceEnclosure<'a> {
-    scene: &'a Scene,
+    scene: Moment<'a>,
     instance: &'a Instance,
     index: u32,
+    placed: Placed<'a>,
     company: Option<&'a Company>,
-    /// Half size of the bounding box in walk space.
+    /// Half size in walk space of the box that it is in all the time.
     extent: Vec3,
     error: f32,
 }
@@ -40,46 +42,53 @@ const TIE: f32 = 4.0;
 const MOST_CROSSINGS: usize = 4096;
 
 impl<'a> InstanceEnclosure<'a> {
-    pub fn new(scene: &'a Scene, index: u32) -> Self {
-        let instance = &scene.instances[index as usize];
-        let company = scene.company(index);
-        let mut extent = extent(instance);
+    pub fn new(scene: Moment<'a>, index: u32) -> Self {
+        let instance = &scene.scene.instances[index as usize];
+        let (company, placed) = (scene.scene.company(index), scene.placed(index));
+        let mut extent = extent(instance, &placed);
         if let Some(Company::Set(objects)) = company {
             let reach = |i: &u32| {
-                let of = &scene.instances[*i as usize];
-                (of.to_render.translation - instance.to_render.translation).abs() + self::extent(of)
+                let of = scene.placed(*i);
+                (of.translation - placed.translation).abs() + self::extent(&scene.instances[*i as usize], &of)
             };
             extent = objects.instances.iter().map(reach).fold(extent, Vec3::max);
         }
         // A few ulps of the largest coordinate: barycentrics, the linear map and sums of segments.
         let error = 4.0 * f32::EPSILON * extent.max_element();
-        Self { scene, instance, index, company, extent, error }
+        Self { scene, instance, index, placed, company, extent, error }
     }
 
     /// Walk-space position of a boundary point, from its triangle (not from a rounded ray).
     pub fn point(&self, hit: &BoundaryHit) -> Vec3 {
-        let of = &self.scene.instances[hit.instance as usize];
-        let [a, b, c] = of.geometry.corners(hit.triangle);
-        let p = of.to_render.linear * (a * (1.0 - hit.u - hit.v) + b * hit.u + c * hit.v);
-        if hit.instance == self.index { p } else { p + self.shift(of) }
+        let [a, b, c] = self.corners(hit);
+        let local = a * (1.0 - hit.u - hit.v) + b * hit.u + c * hit.v;
+        if hit.instance == self.index {
+            return self.placed.linear * local;
+        }
+        let of = self.scene.placed(hit.instance);
+        of.linear * local + self.shift(&of)
     }
 
     /// The same in the walk space of the instance that is hit.
     pub fn point_of_hit(&self, hit: &BoundaryHit) -> Vec3 {
         let p = self.point(hit);
-        if hit.instance == self.index { p } else { p - self.shift(&self.scene.instances[hit.instance as usize]) }
+        if hit.instance == self.index { p } else { p - self.shift(&self.scene.placed(hit.instance)) }
     }
 
     /// Unit normal of the triangle, by its winding.
     pub fn normal(&self, hit: &BoundaryHit) -> Vec3 {
-        let of = &self.scene.instances[hit.instance as usize];
-        let [a, b, c] = of.geometry.corners(hit.triangle);
-        of.to_render.normal((b - a).cross(c - a)).normalize_or(Vec3::Z)
+        let [a, b, c] = self.corners(hit);
+        self.scene.placed(hit.instance).normal((b - a).cross(c - a)).normalize_or(Vec3::Z)
+    }
+
+    /// Of the triangle, object space.
+    fn corners(&self, hit: &BoundaryHit) -> [Vec3; 3] {
+        self.scene.instances[hit.instance as usize].geometry.corners(hit.triangle, self.scene.time)
     }
 
     /// Origin of another instance in walk space.
-    fn shift(&self, of: &Instance) -> Vec3 {
-        of.to_render.translation - self.instance.to_render.translation
+    fn shift(&self, of: &Affine) -> Vec3 {
+        of.translation - self.placed.translation
     }
 
     /// Whether there are lights in the medium.
@@ -89,18 +98,18 @@ impl<'a> InstanceEnclosure<'a> {
 
     /// The surface point closest to `p`, both in walk space, distances too; `None` without finite triangles.
     pub fn closest_point(&self, p: Vec3) -> Option<Vec3> {
-        let (m, blas) = (&self.instance.to_render, &self.instance.geometry.blas);
+        let (m, geometry, time) = (&*self.placed, &self.instance.geometry, self.scene.time);
         let found = if self.instance.translated {
-            blas.closest_point(p)
+            geometry.closest_point_under(&Mat3::IDENTITY, 1.0, p, time)
         } else {
-            blas.closest_point_under(&m.linear, least_stretch(&m.inverse), m.inverse * p)
+            geometry.closest_point_under(&m.linear, least_stretch(&m.inverse), m.inverse * p, time)
         }?;
         Some(self.point(&BoundaryHit { instance: self.index, triangle: found.triangle, u: found.u, v: found.v }))
     }
 
     fn cast_alone(&self, p: Vec3, d: Vec3, t_max: f32, from: Option<BoundaryHit>) -> Option<(f32, BoundaryHit)> {
-        let ray = self.instance.local_ray(p, d, t_max);
-        let hit = self.instance.geometry.blas.closest_skip(&ray, skipped(from, self.index))?;
+        let ray = self.instance.local_ray(&self.placed, p, d, t_max);
+        let hit = self.instance.geometry.closest(&ray, skipped(from, self.index), self.scene.time)?;
         Some((hit.t, BoundaryHit { instance: self.index, triangle: hit.triangle, u: hit.u, v: hit.v }))
     }
 
@@ -117,8 +126,9 @@ impl<'a> InstanceEnclosure<'a> {
         objects.tlas.traverse(&mut Ray { o: self.to_render(p), d, t_max }, |i, ray| {
             let instance = objects.instances[i as usize];
             let of = &self.scene.instances[instance as usize];
-            let local = of.local_ray(p - self.shift(of), d, ray.t_max);
-            if let Some(hit) = of.geometry.blas.closest_skip(&local, skipped(from, instance)) {
+            let placed = of.placed(self.scene.time);
+            let local = of.local_ray(&placed, p - self.shift(&placed), d, ray.t_max);
+            if let Some(hit) = of.geometry.closest(&local, skipped(from, instance), self.scene.time) {
                 ray.t_max = hit.t;
                 let at = BoundaryHit { instance, triangle: hit.triangle, u: hit.u, v: hit.v };
                 found = Some((hit.t, at, i as usize));
@@ -165,11 +175,11 @@ impl<'a> InstanceEnclosure<'a> {
     }
 
     pub fn to_render(&self, p: Vec3) -> Vec3 {
-        p + self.instance.to_render.translation
+        p + self.placed.translation
     }
 
     pub fn to_walk(&self, p: Vec3) -> Vec3 {
-        p - self.instance.to_render.translation
+        p - self.placed.translation
     }
 
     pub fn surface_hit(&self, hit: &BoundaryHit) -> SurfaceHit {
@@ -183,9 +193,9 @@ fn skipped(from: Option<BoundaryHit>, instance: u32) -> u32 {
 }
 
 /// Half size of a box about the origin of an instance that holds it.
-fn extent(instance: &Instance) -> Vec3 {
-    let bounds = instance.geometry.blas.bounds();
-    instance.to_render.linear.abs() * bounds.min.abs().max(bounds.max.abs())
+fn extent(instance: &Instance, placed: &Affine) -> Vec3 {
+    let bounds = instance.geometry.bounds();
+    placed.linear.abs() * bounds.min.abs().max(bounds.max.abs())
 }
 
 /// Lower bound of |M v| / |v|, from the inverse of M: exact for similarities, never below 0.86 of the least singular

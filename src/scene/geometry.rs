@@ -1,12 +1,14 @@
 //! A mesh made ready for rays: triangles about their centre, a BVH, and attributes at the corners.
 
-use super::accel::Blas;
+use super::accel::{Aabb, Blas, ClosestPoint, Ray, TriHit};
 use super::displace::{Displacement, Surface};
 use super::image::ImageCache;
+use super::motion::{Deformation, Keys};
 use super::strands::Strands;
 use crate::flat::{self, AnyPrimvar, Interpolation, Orientation, Primvar, array::Element};
 use crate::subdivision::{self, Refinement};
-use glam::{DVec3, Vec2, Vec3, Vec4};
+use glam::{DVec3, Mat3, Vec2, Vec3, Vec4};
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 
 /// Values over a mesh, by the cheapest index that carries them.
@@ -102,11 +104,14 @@ impl Values {
 }
 
 pub struct Geometry {
-    /// Object space minus `centre`, so that f32 resolves a mesh far from its origin.
+    /// Object space minus `centre`, so that f32 resolves a mesh far from its origin; of one that deforms at the frame.
     pub points: Vec<Vec3>,
     pub triangles: Vec<[u32; 3]>,
     pub centre: DVec3,
-    pub blas: Blas,
+    /// Empty where it deforms.
+    blas: Blas,
+    /// `None`: the points stay.
+    pub deformation: Option<Box<Deformation>>,
     /// Shading normals in object space, not unit; `None`: flat.
     pub normals: Option<Attribute<Vec3>>,
     pub display_color: Option<Attribute<Vec3>>,
@@ -135,12 +140,52 @@ struct Triangulation {
 
 impl Geometry {
     /// From a validated mesh: every index is in range, every point finite. A subdivision surface is refined `level`
-    /// times and moved to its limit; at level 0 it is its cage. Then `displacement` moves its points.
-    pub fn compile(mesh: &flat::Mesh, level: u32, displacement: Option<Displacement>, images: &ImageCache) -> Self {
-        let centre = centre(&mesh.points);
+    /// times and moved to its limit; at level 0 it is its cage. Then `displacement` moves its points. With `deforms` the
+    /// points have their keys.
+    pub fn compile(
+        mesh: &flat::Mesh,
+        level: u32,
+        deforms: bool,
+        displacement: Option<Displacement>,
+        images: &ImageCache,
+    ) -> Self {
+        let displacement = displacement.map(|displacement| (displacement, images));
+        let mut geometry = Self::about(mesh, level, centre(&mesh.points), deforms, displacement);
+        if let Some(keys) = mesh.point_keys.as_ref().filter(|_| deforms) {
+            geometry.deformation = Some(Box::new(geometry.deformed(mesh, keys, images)));
+        }
+        geometry
+    }
+
+    /// Each key by itself, all about one centre.
+    fn deformed(&self, mesh: &flat::Mesh, keys: &flat::PointKeys, images: &ImageCache) -> Deformation {
+        let level = self.refinement.as_ref().map_or(0, |refinement| refinement.level);
+        let at = |k: usize| {
+            let mut there = flat::Mesh { points: keys.points[k].clone(), point_keys: None, ..mesh.clone() };
+            if let (Some(normals), Some(values)) = (&mut there.normals, keys.normals.get(k)) {
+                normals.values = values.clone();
+            }
+            let displacement = self.displacement.clone().map(|displacement| (displacement, images));
+            let there = Self::about(&there, level, self.centre, true, displacement);
+            (there.points, there.normals)
+        };
+        let (points, normals): (Vec<_>, Vec<_>) = (0..keys.times.len()).into_par_iter().map(at).unzip();
+        let closed = self.strands.as_ref().is_some_and(|strands| !strands.ribbons);
+        let points = Keys::new(keys.times.clone(), points);
+        Deformation::new(points, normals.into_iter().collect(), &self.triangles, closed)
+    }
+
+    /// Without a tree where others take its place.
+    fn about(
+        mesh: &flat::Mesh,
+        level: u32,
+        centre: DVec3,
+        treeless: bool,
+        displacement: Option<(Displacement, &ImageCache)>,
+    ) -> Self {
         let points: Vec<Vec3> = mesh.points.iter().map(|p| (Vec3::from(*p).as_dvec3() - centre).as_vec3()).collect();
         let build = |mesh: &flat::Mesh, points, refinement| {
-            Self::build(mesh, points, centre, refinement, displacement.map(|displacement| (displacement, images)))
+            Self::build(mesh, points, centre, refinement, displacement, treeless)
         };
         if !subdivision::is_subdivided(mesh) {
             return build(mesh, points, None);
@@ -160,6 +205,7 @@ impl Geometry {
         centre: DVec3,
         refinement: Option<Refinement>,
         displacement: Option<(Displacement, &ImageCache)>,
+        treeless: bool,
     ) -> Self {
         let soup = triangulate(mesh);
         let slots = slots(mesh, &soup.faces);
@@ -185,7 +231,7 @@ impl Geometry {
             let moved = displacement.apply(&surface, images);
             (points, normals, not_displaced) = (moved.points, moved.normals, moved.not_finite);
         }
-        let blas = Blas::build(&points, &soup.triangles);
+        let blas = Blas::build(&points, if treeless { &[] } else { &soup.triangles });
         let closed = strands.as_ref().is_some_and(|strands| !strands.ribbons);
         Self {
             blas: if closed { blas.one_sided() } else { blas },
@@ -198,6 +244,7 @@ impl Geometry {
             points,
             triangles: soup.triangles,
             centre,
+            deformation: None,
             refinement,
             displacement: displacement.map(|(displacement, _)| displacement),
             not_displaced,
@@ -210,8 +257,87 @@ impl Geometry {
     }
 
     /// Corner positions of a triangle, centred object space.
-    pub fn corners(&self, triangle: u32) -> [Vec3; 3] {
-        self.triangles[triangle as usize].map(|i| self.points[i as usize])
+    pub fn corners(&self, triangle: u32, time: f32) -> [Vec3; 3] {
+        let indices = self.triangles[triangle as usize];
+        match &self.deformation {
+            None => indices.map(|i| self.points[i as usize]),
+            Some(deformation) => deformation.corners(indices, time),
+        }
+    }
+
+    /// Shading normal in object space, not unit; `None`: flat.
+    pub fn normal(&self, triangle: u32, u: f32, v: f32, time: f32) -> Option<Vec3> {
+        let corners = self.triangles[triangle as usize];
+        let at = |normals: &Attribute<Vec3>| normals.at(triangle as usize, corners, u, v);
+        self.normals_at(time, at, |a, b, f| a + (b - a) * f)
+    }
+
+    /// Shading normals at the corners of a triangle.
+    pub fn corner_normals(&self, triangle: u32, time: f32) -> Option<[Vec3; 3]> {
+        let corners = self.triangles[triangle as usize];
+        let at = |normals: &Attribute<Vec3>| normals.corners(triangle as usize, corners);
+        self.normals_at(time, at, |a, b, f| [0, 1, 2].map(|i| a[i] + (b[i] - a[i]) * f))
+    }
+
+    fn normals_at<T>(
+        &self,
+        time: f32,
+        at: impl Fn(&Attribute<Vec3>) -> T,
+        between: impl Fn(T, T, f32) -> T,
+    ) -> Option<T> {
+        match &self.deformation {
+            None => self.normals.as_ref().map(at),
+            Some(deformation) => {
+                let (normals, (i, f)) = (deformation.normals.as_ref()?, deformation.points.segment(time));
+                Some(between(at(&normals[i]), at(&normals[i + 1]), f))
+            }
+        }
+    }
+
+    /// As `Blas::closest_skip`.
+    #[inline(always)]
+    pub fn closest(&self, ray: &Ray, skip: u32, time: f32) -> Option<TriHit> {
+        match &self.deformation {
+            None => self.blas.closest_skip(ray, skip),
+            Some(deformation) => deformation.closest(ray, skip, time),
+        }
+    }
+
+    /// The same where nothing deforms.
+    #[inline(always)]
+    pub fn closest_still(&self, ray: &Ray, skip: u32) -> Option<TriHit> {
+        self.blas.closest_skip(ray, skip)
+    }
+
+    /// As `Blas::any_skip`, where nothing deforms.
+    #[inline(always)]
+    pub fn any_still(&self, ray: &Ray, skip: u32) -> bool {
+        self.blas.any_skip(ray, skip)
+    }
+
+    /// As `Blas::any_skip`.
+    #[inline(always)]
+    pub fn any(&self, ray: &Ray, skip: u32, time: f32) -> bool {
+        match &self.deformation {
+            None => self.blas.any_skip(ray, skip),
+            Some(deformation) => deformation.any(ray, skip, time),
+        }
+    }
+
+    /// As `Blas::closest_point_under`.
+    pub fn closest_point_under(&self, metric: &Mat3, least_stretch: f32, p: Vec3, time: f32) -> Option<ClosestPoint> {
+        match &self.deformation {
+            None => self.blas.closest_point_under(metric, least_stretch, p),
+            Some(deformation) => {
+                let (blas, f) = deformation.stretch(time);
+                blas.closest_point_under(metric, least_stretch, p, f)
+            }
+        }
+    }
+
+    /// Of all the time that the shutter is open; centred object space.
+    pub fn bounds(&self) -> Aabb {
+        self.deformation.as_ref().map_or_else(|| self.blas.bounds(), |deformation| deformation.bounds())
     }
 
     pub fn slot(&self, triangle: u32) -> usize {
@@ -235,7 +361,8 @@ impl Geometry {
         let strands = self.strands.as_ref().map_or(0, |strands| strands.memory());
         let slots = self.slots.as_ref().map_or(0, |slots| size_of_val(slots.as_slice()));
         let indexed = size_of_val(self.points.as_slice()) + size_of_val(self.triangles.as_slice());
-        indexed + self.blas.memory() + attributes.sum::<usize>() + primvars + strands + slots
+        let deformation = self.deformation.as_ref().map_or(0, |deformation| deformation.memory());
+        indexed + deformation + self.blas.memory() + attributes.sum::<usize>() + primvars + strands + slots
     }
 
     /// Edges (between points welded by position) that do not join faces in pairs: what keeps the mesh from

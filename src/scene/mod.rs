@@ -8,6 +8,7 @@ mod driven;
 mod enclosure;
 mod geometry;
 mod image;
+mod motion;
 mod needs;
 mod nesting;
 mod network;
@@ -20,6 +21,7 @@ pub use driven::Driven;
 pub use enclosure::{BoundaryHit, InstanceEnclosure};
 pub use geometry::{Attribute, Geometry};
 pub use image::page_out;
+pub use motion::{Deformation, Keys, Moves, Placed};
 pub use needs::{Explanation, Needs};
 pub use paged::{Residency, release};
 
@@ -27,7 +29,7 @@ use crate::bsdf::{Boundary, Side, Surface};
 use crate::camera::Camera;
 use crate::film::OnSurface;
 use crate::interaction::{Interaction, shading_normal};
-use crate::light::{Lights, Members, ShapeHit};
+use crate::light::{Lights, LightsAt, Members, ShapeHit};
 use crate::math::{Affine, Frame};
 use crate::medium::Medium;
 use accel::{Ray, Tlas};
@@ -50,8 +52,10 @@ pub type InstancePrimvars = BTreeMap<String, Vec<Vec4>>;
 /// A placement of a geometry.
 pub struct Instance {
     pub geometry: Arc<Geometry>,
-    /// Centred object space to render space.
+    /// Centred object space to render space, at the frame.
     pub to_render: Affine,
+    /// The same by time of the shutter; `None`: it stays.
+    pub moves: Option<Box<Moves>>,
     /// First of its surfaces in `Scene::surfaces`, one per material slot.
     pub surfaces: u32,
     /// Of its medium where bodies overlap: higher wins.
@@ -65,7 +69,7 @@ pub struct Instance {
     pub primvars: Option<(Arc<InstancePrimvars>, u32)>,
     /// The set of categories that it is in ([`Scene::members`]).
     pub categories: u32,
-    /// The linear part is the identity: rays need no rotation.
+    /// The linear part is the identity, all the time: rays need no rotation.
     pub(crate) translated: bool,
 }
 
@@ -110,6 +114,25 @@ pub struct Scene {
     /// Bodies that the camera is in, outermost first.
     pub camera_within: Vec<Around>,
     pub needs: Needs,
+    /// Instances move or deform: rays have to know the time.
+    moves: bool,
+    /// The one time of all paths; `None`: anything may move, and each has its own.
+    pub frozen: Option<f32>,
+}
+
+/// The scene at a time of the shutter, 0 where it opens, 1 where it closes: what one path sees.
+#[derive(Clone, Copy)]
+pub struct Moment<'a> {
+    pub scene: &'a Scene,
+    pub time: f32,
+}
+
+impl std::ops::Deref for Moment<'_> {
+    type Target = Scene;
+    #[inline(always)]
+    fn deref(&self) -> &Scene {
+        self.scene
+    }
 }
 
 /// Closest surface along a ray.
@@ -135,11 +158,12 @@ fn skipped(origin: Origin, instance: u32) -> u32 {
 
 impl Instance {
     /// A ray whose origin is relative to the instance's own, in centred object space; `t` is unchanged.
-    pub(crate) fn local_ray(&self, o: Vec3, d: Vec3, t_max: f32) -> Ray {
+    #[inline(always)]
+    pub(crate) fn local_ray(&self, placed: &Affine, o: Vec3, d: Vec3, t_max: f32) -> Ray {
         if self.translated {
             return Ray { o, d, t_max };
         }
-        Ray { o: self.to_render.inverse * o, d: self.to_render.inverse * d, t_max }
+        Ray { o: placed.inverse * o, d: placed.inverse * d, t_max }
     }
 }
 
@@ -151,7 +175,7 @@ impl Instance {
 
     /// Half the sides of its box in render space.
     pub fn half_size(&self) -> Vec3 {
-        let bounds = self.geometry.blas.bounds();
+        let bounds = self.geometry.bounds();
         self.to_render.linear.abs() * ((bounds.max - bounds.min) * 0.5)
     }
 }
@@ -178,6 +202,56 @@ impl Scene {
         self.instances.iter().filter(|i| i.surfaces as usize <= surface).max_by_key(|i| i.surfaces)
     }
 
+    /// A primvar at a point, its first three numbers; zero where there is none, or materials and AOVs do not ask for it.
+    pub fn primvar_at(&self, at: &OnSurface, name: &str) -> Vec3 {
+        let instance = &self.instances[at.instance as usize];
+        let geometry = &instance.geometry;
+        let of_instance = instance.primvars.as_ref().and_then(|(primvars, i)| primvars.get(name)?.get(*i as usize));
+        if let Some(value) = of_instance.filter(|value| !value.x.is_nan()) {
+            return value.truncate();
+        }
+        let (triangle, uv) = (at.triangle as usize, at.barycentric);
+        let value = |values: &geometry::Values| values.at(triangle, geometry.triangles[triangle], uv.x, uv.y);
+        geometry.primvars.get(name).map_or(Vec3::ZERO, |values| value(values).truncate())
+    }
+
+    /// Pixels that a point goes on the image from where the shutter opens to where it closes: x right, y up. 0 where it
+    /// passes the plane of the eye.
+    pub fn motion_vector(&self, of: &OnSurface) -> Vec2 {
+        let instance = &self.instances[of.instance as usize];
+        let at = |time: f32| {
+            let [a, b, c] = instance.geometry.corners(of.triangle, time);
+            let (u, v) = (of.barycentric.x, of.barycentric.y);
+            self.camera.raster(instance.placed(time).point(a * (1.0 - u - v) + b * u + c * v), time)
+        };
+        match (at(0.0), at(1.0)) {
+            (Some(open), Some(close)) => Vec2::new(close.x - open.x, open.y - close.y),
+            _ => Vec2::ZERO,
+        }
+    }
+
+    /// What a path of that time sees.
+    pub fn at(&self, time: f32) -> Moment<'_> {
+        Moment { scene: self, time }
+    }
+
+    /// A moment that stands for all: the middle of the shutter.
+    pub fn middle(&self) -> Moment<'_> {
+        self.at(self.frozen.unwrap_or(0.5))
+    }
+}
+
+impl<'a> Moment<'a> {
+    pub fn lights(&self) -> LightsAt<'a> {
+        self.scene.lights.at(self.time)
+    }
+
+    /// Where an instance is.
+    #[inline]
+    pub fn placed(&self, instance: u32) -> Placed<'a> {
+        self.scene.instances[instance as usize].placed(self.time)
+    }
+
     /// Closest surface for 0 < t < `t_max`; `d` unit, render space.
     pub fn closest(&self, o: Vec3, d: Vec3, t_max: f32, origin: Origin) -> Option<SurfaceHit> {
         self.closest_where(o, d, t_max, origin, |_| true)
@@ -193,6 +267,23 @@ impl Scene {
         origin: Origin,
         wanted: impl Fn(u32) -> bool,
     ) -> Option<SurfaceHit> {
+        // What stays costs no look at the time.
+        if self.moves {
+            self.closest_of::<true>(o, d, t_max, origin, wanted)
+        } else {
+            self.closest_of::<false>(o, d, t_max, origin, wanted)
+        }
+    }
+
+    #[inline(always)]
+    fn closest_of<const MOVES: bool>(
+        &self,
+        o: Vec3,
+        d: Vec3,
+        t_max: f32,
+        origin: Origin,
+        wanted: impl Fn(u32) -> bool,
+    ) -> Option<SurfaceHit> {
         let mut ray = Ray { o, d, t_max };
         let mut closest = None;
         self.tlas.traverse(&mut ray, |i, ray| {
@@ -200,8 +291,16 @@ impl Scene {
                 return false;
             }
             let instance = &self.instances[i as usize];
-            let local = instance.local_ray(o - instance.to_render.translation, d, ray.t_max);
-            if let Some(hit) = instance.geometry.blas.closest_skip(&local, skipped(origin, i)) {
+            let found = if MOVES {
+                let placed = instance.placed(self.time);
+                let local = instance.local_ray(&placed, o - placed.translation, d, ray.t_max);
+                instance.geometry.closest(&local, skipped(origin, i), self.time)
+            } else {
+                let placed = &instance.to_render;
+                let local = instance.local_ray(placed, o - placed.translation, d, ray.t_max);
+                instance.geometry.closest_still(&local, skipped(origin, i))
+            };
+            if let Some(hit) = found {
                 ray.t_max = hit.t;
                 closest = Some(SurfaceHit { t: hit.t, instance: i, triangle: hit.triangle, u: hit.u, v: hit.v });
             }
@@ -214,17 +313,33 @@ impl Scene {
     /// is coarser than a short mean free path. As walks, it does not see what else is in there.
     pub fn boundary_from_within(&self, instance: u32, p: Vec3, d: Vec3, t_max: f32) -> Option<SurfaceHit> {
         let of = &self.instances[instance as usize];
-        let hit = of.geometry.blas.closest_skip(&of.local_ray(p, d, t_max), u32::MAX)?;
+        let local = of.local_ray(&of.placed(self.time), p, d, t_max);
+        let hit = of.geometry.closest(&local, u32::MAX, self.time)?;
         Some(SurfaceHit { t: hit.t, instance, triangle: hit.triangle, u: hit.u, v: hit.v })
     }
 
     /// Whether any surface is met for 0 < t < `t_max`.
     pub fn occluded(&self, o: Vec3, d: Vec3, t_max: f32, origin: Origin) -> bool {
+        if self.moves {
+            self.occluded_of::<true>(o, d, t_max, origin)
+        } else {
+            self.occluded_of::<false>(o, d, t_max, origin)
+        }
+    }
+
+    fn occluded_of<const MOVES: bool>(&self, o: Vec3, d: Vec3, t_max: f32, origin: Origin) -> bool {
         let mut occluded = false;
         self.tlas.traverse(&mut Ray { o, d, t_max }, |i, ray| {
             let instance = &self.instances[i as usize];
-            let local = instance.local_ray(o - instance.to_render.translation, d, ray.t_max);
-            occluded = instance.geometry.blas.any_skip(&local, skipped(origin, i));
+            occluded = if MOVES {
+                let placed = instance.placed(self.time);
+                let local = instance.local_ray(&placed, o - placed.translation, d, ray.t_max);
+                instance.geometry.any(&local, skipped(origin, i), self.time)
+            } else {
+                let placed = &instance.to_render;
+                let local = instance.local_ray(placed, o - placed.translation, d, ray.t_max);
+                instance.geometry.any_still(&local, skipped(origin, i))
+            };
             occluded
         });
         occluded
@@ -248,7 +363,7 @@ impl Scene {
         }
         self.light_tlas.traverse(&mut Ray { o, d, t_max }, |i, _| {
             let light = self.light_shapes[i as usize];
-            if let Some(hit) = self.lights.intersect(light, o, d, t_max) {
+            if let Some(hit) = self.lights().intersect(light, o, d, t_max) {
                 visit(light, &hit);
             }
             false
@@ -259,9 +374,9 @@ impl Scene {
     pub fn interaction(&self, hit: &SurfaceHit, d: Vec3, side: Side) -> Interaction {
         let instance = &self.instances[hit.instance as usize];
         let geometry = &instance.geometry;
-        let [a, b, c] = geometry.corners(hit.triangle);
+        let [a, b, c] = geometry.corners(hit.triangle, self.time);
         let local = a * (1.0 - hit.u - hit.v) + b * hit.u + c * hit.v;
-        let m = &instance.to_render;
+        let m = &*instance.placed(self.time);
         let at = Vec2::new(hit.u, hit.v);
         let front_normal = m.normal((b - a).cross(c - a)).normalize_or(-d);
         let front = front_normal.dot(d) <= 0.0;
@@ -269,8 +384,8 @@ impl Scene {
         let ng = if outward { front_normal } else { -front_normal };
         let wo = -d;
         let corners = geometry.triangles[hit.triangle as usize];
-        let ns = geometry.normals.as_ref().map_or(ng, |normals| {
-            let n = m.normal(normals.at(hit.triangle as usize, corners, hit.u, hit.v));
+        let ns = geometry.normal(hit.triangle, hit.u, hit.v, self.time).map_or(ng, |normal| {
+            let n = m.normal(normal);
             // Inside, the side of wo is -ng: bend there, then turn back.
             match side {
                 Side::Outside => shading_normal(n, ng, wo),
@@ -303,22 +418,9 @@ impl Scene {
         }
     }
 
-    /// A primvar at a point, its first three numbers; zero where there is none, or materials and AOVs do not ask for it.
-    pub fn primvar_at(&self, at: &OnSurface, name: &str) -> Vec3 {
-        let instance = &self.instances[at.instance as usize];
-        let geometry = &instance.geometry;
-        let of_instance = instance.primvars.as_ref().and_then(|(primvars, i)| primvars.get(name)?.get(*i as usize));
-        if let Some(value) = of_instance.filter(|value| !value.x.is_nan()) {
-            return value.truncate();
-        }
-        let (triangle, uv) = (at.triangle as usize, at.barycentric);
-        let value = |values: &geometry::Values| values.at(triangle, geometry.triangles[triangle], uv.x, uv.y);
-        geometry.primvars.get(name).map_or(Vec3::ZERO, |values| value(values).truncate())
-    }
-
     /// The coating at `si`, whose shading normal it may bend. `width`: of the ray's footprint across the ray.
-    pub fn shade(&self, si: &mut Interaction, width: f32) -> CoatingAt<'_> {
-        let coating = &self.surfaces[si.surface as usize];
+    pub fn shade(&self, si: &mut Interaction, width: f32) -> CoatingAt<'a> {
+        let coating = &self.scene.surfaces[si.surface as usize];
         match &coating.driven {
             None => CoatingAt::Constant(coating),
             Some(driven) => CoatingAt::Driven(self.drive(driven, si, width)),
@@ -341,7 +443,8 @@ impl Scene {
             triangle: si.triangle as usize,
             corners: geometry.triangles[si.triangle as usize],
             at: si.barycentric,
-            across: Some(footprint(instance, si, width)),
+            across: Some(footprint(instance, si, width, self.time)),
+            time: self.time,
         };
         let outward = matches!(si.side, Side::Outside) == si.front;
         let turn = if outward { 1.0 } else { -1.0 };
@@ -362,9 +465,10 @@ impl Scene {
 const LONGEST_FOOTPRINT: f32 = 16.0;
 
 /// Offsets in barycentrics of two points beside `si`: along the ray's projection, and across it.
-fn footprint(instance: &Instance, si: &Interaction, width: f32) -> [Vec2; 2] {
-    let [a, b, c] = instance.geometry.corners(si.triangle);
-    let [e1, e2] = [b - a, c - a].map(|edge| instance.to_render.vector(edge));
+fn footprint(instance: &Instance, si: &Interaction, width: f32, time: f32) -> [Vec2; 2] {
+    let [a, b, c] = instance.geometry.corners(si.triangle, time);
+    let placed = instance.placed(time);
+    let [e1, e2] = [b - a, c - a].map(|edge| placed.vector(edge));
     let cos = si.wo.dot(si.ng);
     let along = (si.wo - si.ng * cos).try_normalize().unwrap_or_else(|| si.ng.any_orthonormal_vector());
     let stretch = cos.abs().recip().min(LONGEST_FOOTPRINT);

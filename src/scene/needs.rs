@@ -50,6 +50,11 @@ pub struct Needs {
     /// Surfaces that shadow rays pass, wholly or in part.
     pub transparency: bool,
     pub depth_of_field: bool,
+    /// What moves while the shutter is open.
+    pub moving_instances: u32,
+    pub deforming_meshes: u32,
+    pub moving_lights: u32,
+    pub moving_camera: bool,
     pub aovs: Vec<String>,
 }
 
@@ -70,6 +75,16 @@ impl Needs {
     pub fn is_nested(&self) -> bool {
         let open = self.clear_media + self.dielectric_media + self.index_matched_media;
         open > 0 && open + self.diffuse_media > 1 || self.in_sets > 0
+    }
+
+    fn moves(&self) -> bool {
+        self.moving_instances + self.deforming_meshes + self.moving_lights > 0 || self.moving_camera
+    }
+
+    fn motion(&self) -> String {
+        let Self { moving_instances, deforming_meshes, moving_lights, .. } = self;
+        let camera = if self.moving_camera { ", the camera" } else { "" };
+        format!("{moving_instances} placements move, {deforming_meshes} deform, {moving_lights} lights{camera}")
     }
 
     fn subdivision(&self) -> String {
@@ -209,6 +224,12 @@ impl Needs {
                 self.depth_of_field,
                 "fStop and focusDistance of the camera above 0".into(),
                 "fStop or focusDistance of the camera is 0, or it is switched off",
+            ),
+            line(
+                "motion blur",
+                self.moves(),
+                self.motion(),
+                "nothing moves while the camera's shutter is open, it does not open (shutter:open, shutter:close), or it is switched off",
             ),
             line("AOVs", !plain.is_empty(), plain.join(", "), "none asked for beside the beauty"),
             line("AOVs of walks", !of_walks.is_empty(), of_walks.join(", "), "none asked for"),

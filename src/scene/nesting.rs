@@ -28,9 +28,10 @@ fn around_camera(scene: &Scene, paths: &[&String], warnings: &mut Vec<Warning>) 
         return Vec::new();
     }
     let [x, y] = scene.camera.size.map(|n| n as f32 * 0.5);
-    let ray = scene.camera.ray(Vec2::new(x, y), Vec2::splat(0.5));
+    let moment = scene.middle();
+    let ray = scene.camera.ray(Vec2::new(x, y), Vec2::splat(0.5), moment.time);
     let (diffuse, open): (Vec<Around>, Vec<Around>) =
-        scene.around(ray.o, u32::MAX).into_iter().partition(|body| scene.is_opaque(body));
+        moment.around(ray.o, u32::MAX).into_iter().partition(|body| scene.is_opaque(body));
     for body in diffuse {
         let message = "the camera is inside this body, whose boundary is diffuse: it is opaque from within, and black";
         warnings.push(Warning::new(path(scene, paths, &body), message));
@@ -45,12 +46,13 @@ fn warn_of_lights(scene: &Scene, paths: &[&String], warnings: &mut Vec<Warning>)
     }
     let shapes = scene.lights.shapes().map(|(light, (min, max))| (light, (min + max) * 0.5, u32::MAX));
     let meshes = scene.instances.iter().enumerate().filter_map(|(i, instance)| {
-        let p = instance.to_render.point(instance.geometry.corners(0)[0]);
+        let time = scene.middle().time;
+        let p = instance.placed(time).point(instance.geometry.corners(0, time)[0]);
         Some((instance.light?.0, p, i as u32))
     });
     let lights: Vec<(u32, Vec3, u32)> = shapes.chain(meshes).collect();
     for (light, p, own) in lights {
-        if let Some(body) = scene.around(p, own).iter().find(|body| scene.is_opaque(body)) {
+        if let Some(body) = scene.middle().around(p, own).iter().find(|body| scene.is_opaque(body)) {
             let body = path(scene, paths, body);
             let message = format!(
                 "this light is inside {body}, whose boundary is diffuse: walks see no light within, so it gives none; \

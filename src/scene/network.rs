@@ -25,6 +25,8 @@ pub struct Lookup<'a> {
     pub at: Vec2,
     /// Their offsets across the footprint; `None`: all of every image is seen.
     pub across: Option<[Vec2; 2]>,
+    /// Of the shutter.
+    pub time: f32,
 }
 
 /// Value at the point and at the two beside it.

@@ -81,6 +81,14 @@ DARK = replace(WAX, world="", flags=(*WAX.flags, "--disableCameraLight"))
 """Media, and no light to walk to."""
 
 
+TIMED = "startTimeCode = 1\n    endTimeCode = 1"
+SHUTTER = "double shutter:open = -0.25\n        double shutter:close = 0.25"
+FLIGHT = """
+        double3 xformOp:translate.timeSamples = { 0: (-0.3, 0, 0), 2: (0.3, 0, 0) }
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+"""
+
+
 def setting(stage: Stage, *flags: str) -> Stage:
     return replace(stage, flags=(*stage.flags, *flags))
 
@@ -505,6 +513,11 @@ CAPABILITIES = (
         "depth of field",
         against_plain("fStop 0", replace(PLAIN, camera="float focusDistance = 7\n float fStop = 0")),
         against_plain("fStop 2.8", replace(PLAIN, camera="float focusDistance = 7\n float fStop = 2.8")),
+    ),
+    Capability(
+        "motion blur",
+        against_plain("a shutter that opens, nothing moves", replace(PLAIN, camera=SHUTTER, metadata=TIMED)),
+        against_plain("a ball that moves", replace(PLAIN, camera=SHUTTER, metadata=TIMED, ball=FLIGHT)),
     ),
     Capability(
         "AOVs",

@@ -38,11 +38,14 @@ class Stage:
     """All other prims, lights too."""
     flags: tuple[str, ...] = ("--set", "aovs=")
     """Of `dermis flatten`."""
+    metadata: str = ""
+    """Of the stage."""
 
     def text(self) -> str:
         return f"""#usda 1.0
 (
     upAxis = "Y"
+    {self.metadata}
 )
 def Xform "World"
 {{

@@ -22,6 +22,8 @@ USD_SETTINGS = {
     "aspectRatioConformPolicy",
     "dataWindowNDC",
     "disableDepthOfField",
+    "disableMotionBlur",
+    "renderingColorSpace",
     "aovs",
 }
 

@@ -147,7 +147,7 @@ def test_products_of_a_sequence(stage, tmp_path, capsys):
         ("C<RS>L", "lpe", None),
         ("st", "primvar", "primvars:st"),
         ("primvars:st", "raw", "primvars:st"),
-        ("motionvector", "raw", None),
+        ("motionvector", "raw", "motionVector"),
         ("whatever", "intrinsic", None),
     ],
 )

@@ -18,4 +18,4 @@ GUIDE_AOVS = ("slabNormal", "entryAgreement", "walkLength", "region", "cacheIrra
 PRIMVAR = "primvars:"
 """Before the name of a primvar of the first surface."""
 
-EXTRA_AOVS = ("distance", "deviceDepth", "Peye", "Neye", "sampleCount", "cryptoObject")
+EXTRA_AOVS = ("distance", "deviceDepth", "Peye", "Neye", "motionVector", "sampleCount", "cryptoObject")

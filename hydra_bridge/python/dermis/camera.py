@@ -34,7 +34,19 @@ def flatten_camera(prim: Usd.Prim, reader: Reader, matrix: Gf.Matrix4d) -> dict[
         "fStop": reader.value(prim, "fStop", 0.0),
         "focusDistance": reader.value(prim, "focusDistance", 0.0),
         "exposureScale": exposure_scale(prim, reader),
+        "shutter": list(find_shutter(prim, reader)),
     }
+
+
+def find_shutter(camera: Usd.Prim, reader: Reader) -> tuple[float, float]:
+    """`shutter:open` and `shutter:close`; (0, 0) where there are no usable ones."""
+    if reader.time.IsDefault() or reader.time.IsEarliestTime():
+        return 0.0, 0.0
+    opens, closes = (reader.value(camera, f"shutter:{name}", 0.0) for name in ("open", "close"))
+    if closes < opens:
+        reader.warn(camera, f"shutter:close: {closes:g} is before shutter:open, {opens:g}; nothing moves")
+        return 0.0, 0.0
+    return opens, closes
 
 
 def exposure_scale(prim: Usd.Prim, reader: Reader) -> float:

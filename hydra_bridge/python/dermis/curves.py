@@ -87,7 +87,7 @@ def tessellate_curves(prim: Usd.Prim, reader: Reader) -> Tessellation | None:
 
 
 def read_spline(prim: Usd.Prim, reader: Reader) -> Spline | None:
-    points = reader.array(prim, "points", np.float32, 3)
+    points = reader.moving(prim, "points", np.float32, 3)
     counts = reader.array(prim, "curveVertexCounts", np.int32, 1)
     for name, array in (("points", points), ("curveVertexCounts", counts)):
         if array is None or not len(array):

@@ -40,7 +40,9 @@ MESH_BITS = {
     "subdivTags": DirtyBits.TOPOLOGY,
     "refineLevel": DirtyBits.TOPOLOGY,
     "points": DirtyBits.POINTS,
+    "pointKeys": DirtyBits.POINTS,
     "transform": DirtyBits.TRANSFORM,
+    "transformKeys": DirtyBits.TRANSFORM,
     "primvars": DirtyBits.PRIMVAR,
     "displayColor": DirtyBits.PRIMVAR,
     "displayOpacity": DirtyBits.PRIMVAR,
@@ -57,12 +59,17 @@ MESH_BITS = {
 
 INSTANCER_BITS = {
     "transforms": DirtyBits.INSTANCER,
+    "transformKeys": DirtyBits.INSTANCER,
     "displayColor": DirtyBits.INSTANCER,
     "primvars": DirtyBits.INSTANCER,
     "visible": DirtyBits.VISIBILITY,
 }
 
-PARAMS_BITS = {"transform": DirtyBits.TRANSFORM, "visible": DirtyBits.VISIBILITY}
+PARAMS_BITS = {
+    "transform": DirtyBits.TRANSFORM,
+    "transformKeys": DirtyBits.TRANSFORM,
+    "visible": DirtyBits.VISIBILITY,
+}
 """Of lights and cameras, beside PARAMS, which any change of theirs sets."""
 
 

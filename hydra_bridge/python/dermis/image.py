@@ -77,12 +77,14 @@ def render(
         delegate = core.load(str(stage_or_path))
     else:
         stage = stage_or_path if isinstance(stage_or_path, Usd.Stage) else open_stage(stage_or_path)
+        still, vectors = settings.get("disableMotionBlur"), "motionVector" in settings.get("aovs", ())
         options = Options(
             purposes,
             enable_dome_light_visibility,
             camera=settings.get("camera", ""),
             rendering_color_space=settings.get("renderingColorSpace", ""),
             aovs=tuple(settings.get("aovs", ())),
+            motion=True if vectors else None if still is None else not still,
         )
         flat = flatten(stage, time, options)
         ensure_camera(stage, time, flat, settings)
@@ -105,7 +107,10 @@ def ensure_camera(stage: Usd.Stage, time: Any, flat: FlatStage, settings: dict[s
         code = first_time(stage) if time is None else Usd.TimeCode(time)
         camera = find_camera(stage, path)
         path = str(camera.GetPath()) if camera else AUTO_CAMERA
-        flat.prims[path] = camera_fields(camera, code) if camera else auto_camera(stage, code, flat.purposes)
+        if not camera:
+            flat.prims[path] = auto_camera(stage, code, flat.purposes)
+        elif path not in flat.prims:
+            flat.prims[path] = camera_fields(camera, code)
         settings.pop("camera", None)
         flat.settings["camera"] = path
     if "resolution" not in flat.settings:

@@ -56,7 +56,10 @@ def point_instances(prim: Usd.Prim, reader: Reader) -> tuple[NDArray, Placements
         reader.warn(
             prim, f"positions: {len(positions)} for {len(indices)} protoIndices; the first {count} are used"
         )
-    matrices = instance_matrices(prim, positions[:count], reader)
+    if reader.moment == reader.time:
+        matrices = instance_matrices(prim, positions[:count], reader)
+    elif (matrices := moved_matrices(prim, count, reader)) is None:
+        return np.zeros(0, np.int32), Placements(np.zeros((0, 4, 4)))
     keep = shown(prim, count, reader) & in_range(prim, indices[:count], reader)
     primvars = {name: values[:count][keep] for name, values in instance_primvars(prim, len(indices), reader)}
     return indices[:count][keep], Placements(matrices[keep], primvars)
@@ -96,6 +99,15 @@ def instance_matrices(prim: Usd.Prim, positions: NDArray, reader: Reader) -> Mat
         matrices[:, :3, :3] *= scales[:, :, None]
     matrices[:, 3, :3] = positions + drift(prim, len(positions), reader)
     return matrices
+
+
+def moved_matrices(prim: Usd.Prim, count: int, reader: Reader) -> Matrices | None:
+    """At the moment, by USD's own rules of velocities, accelerations and angular velocities; None where it has none."""
+    instancer = UsdGeom.PointInstancer(prim)
+    exclude, ignore = UsdGeom.PointInstancer.ExcludeProtoXform, UsdGeom.PointInstancer.IgnoreMask
+    found = instancer.ComputeInstanceTransformsAtTimes([reader.moment], reader.time, exclude, ignore)
+    matrices = np.array(found[0]).reshape(-1, 4, 4) if found else np.zeros((0, 4, 4))
+    return matrices[:count] if len(matrices) >= count else None
 
 
 def optional_array(

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from .aovs import GUIDE_AOVS
 
 #: AOVs of the nearest sample of a pixel.
-NEAREST = ("depth", "normal", "position", "primId", "distance", "deviceDepth", "Peye", "Neye")
+NEAREST = ("depth", "normal", "position", "primId", "distance", "deviceDepth", "Peye", "Neye", "motionVector")
 #: Of them, those that tell how near it is, the best first.
 DEPTHS = ("depth", "distance", "deviceDepth")
 COUNT = "sampleCount"

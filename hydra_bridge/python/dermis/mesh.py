@@ -93,7 +93,7 @@ def curves(prim: Usd.Prim, reader: Reader, inherited: Inherited) -> dict[str, An
 
 
 def polygons(prim: Usd.Prim, reader: Reader) -> dict[str, Any] | None:
-    points = reader.array(prim, "points", np.float32, 3)
+    points = reader.moving(prim, "points", np.float32, 3)
     counts = reader.array(prim, "faceVertexCounts", np.int32, 1)
     indices = reader.array(prim, "faceVertexIndices", np.int32, 1)
     for name, array in (("points", points), ("faceVertexCounts", counts), ("faceVertexIndices", indices)):
@@ -175,9 +175,9 @@ def add_normals(prim: Usd.Prim, mesh: dict[str, Any], reader: Reader) -> None:
     """`primvars:normals` beats `normals` (UsdGeomMesh)."""
     primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals")
     if primvar and primvar.HasAuthoredValue():
-        normals = flatten_primvar(prim, primvar, 3, mesh, reader)
+        normals = flatten_primvar(prim, primvar, 3, mesh, reader, reader.moment)
     else:
-        values = reader.array(prim, "normals", np.float32, 3)
+        values = reader.moving(prim, "normals", np.float32, 3)
         interpolation = UsdGeom.PointBased(prim).GetNormalsInterpolation()
         normals = checked(prim, "normals", interpolation, values, None, mesh, reader)
     if normals is not None:
@@ -264,10 +264,15 @@ def is_array(primvar: UsdGeom.Primvar) -> bool:
 
 
 def flatten_primvar(
-    prim: Usd.Prim, primvar: UsdGeom.Primvar, components: int, mesh: dict[str, Any], reader: Reader
+    prim: Usd.Prim,
+    primvar: UsdGeom.Primvar,
+    components: int,
+    mesh: dict[str, Any],
+    reader: Reader,
+    time: Usd.TimeCode | None = None,
 ) -> dict[str, Any] | None:
     name = str(primvar.GetName())
-    value = primvar.Get(reader.time)
+    value = primvar.Get(reader.time if time is None else time)
     if primvar.GetElementSize() != 1:
         reader.warn(prim, f"{name}: elementSize {primvar.GetElementSize()} is not supported; it is ignored")
         return None

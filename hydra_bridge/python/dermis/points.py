@@ -27,7 +27,7 @@ def flatten_points(
     prim: Usd.Prim, reader: Reader, inherited: Mapping[str, UsdGeom.Primvar]
 ) -> Spheres | None:
     """None where there is nothing to render, which was said."""
-    points = reader.array(prim, "points", np.float32, 3)
+    points = reader.moving(prim, "points", np.float32, 3)
     if points is None or not len(points):
         reader.warn(prim, "points: empty; they are not rendered")
         return None

@@ -22,6 +22,9 @@ RAW_SOURCES = {
     "linearDepth": "depth",
     "N": "normal",
     "P": "position",
+    "motion": "motionVector",
+    "motionvector": "motionVector",
+    "motionVectors": "motionVector",
 } | {aov: aov for aov in (*AOVS, *EXTRA_AOVS, *GUIDE_AOVS)}
 """`sourceName` of sourceType `raw` and `intrinsic` -> AOV; the names of Hydra, RenderMan and dermis."""
 
@@ -33,9 +36,9 @@ LPES = {
 """Light path expressions that the renderer keeps apart, without blanks and quotes of one kind."""
 
 NOT_KEPT = {
-    "motion": "nothing moves within a frame in this version",
-    "motionvector": "nothing moves within a frame in this version",
-    "velocity": "nothing moves within a frame in this version",
+    "velocity": "motionVector has the motion on the image",
+    "motionFore": "motionVector has the motion over the shutter",
+    "motionBack": "motionVector has the motion over the shutter",
     "instanceId": "instances of one prim share its primId",
     "elementId": "faces are not told apart",
 }

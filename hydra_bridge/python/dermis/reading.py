@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Sdf, Tf, Usd, Vt
+from pxr import Sdf, Tf, Usd, UsdGeom, Vt
 
 from .colorspace import Colors
 
@@ -31,8 +31,10 @@ class Report:
 class Reader:
     """Reads attributes at one time; what cannot be used becomes the default and a warning."""
 
-    def __init__(self, time: Usd.TimeCode, report: Report) -> None:
+    def __init__(self, time: Usd.TimeCode, report: Report, moment: Usd.TimeCode | None = None) -> None:
         self.time = time
+        #: Within the shutter of the frame `time`: of what moves.
+        self.moment = time if moment is None else moment
         self.report = report
         self.colors = Colors()
         #: Primvars that materials read, or AOVs show.
@@ -81,6 +83,29 @@ class Reader:
         """The attribute as array of shape (n,) or (n, components), a view of USD's own memory where the type
         allows."""
         return self.as_array(prim, name, self.raw(prim, name), dtype, components)
+
+    def moving(self, prim: Usd.Prim, name: str, dtype: Any, components: int) -> NDArray | None:
+        """An array at the moment. Points go by their velocities where these are authored (UsdGeomPointBased)."""
+        attribute = prim.GetAttribute(name)
+        value = attribute.Get(self.moment) if attribute else None
+        if name == "points" and not self.moment.IsDefault() and not self.time.IsDefault():
+            velocities = prim.GetAttribute("velocities")
+            if velocities and velocities.HasAuthoredValue():
+                value = self.by_velocities(prim, value)
+        elif name == "normals" and "velocities" in prim.GetAuthoredPropertyNames():
+            value = self.raw(prim, name)
+        return self.as_array(prim, name, value, dtype, components)
+
+    def by_velocities(self, prim: Usd.Prim, value: Any) -> Any:
+        """`value`, the points by interpolation, where velocities are of no use."""
+        try:
+            return UsdGeom.PointBased(prim).ComputePointsAtTimes([self.moment], self.time)[0]
+        except (Tf.ErrorException, IndexError) as error:
+            self.warn(
+                prim,
+                f"velocities: {usd_words(error) if isinstance(error, Tf.ErrorException) else error}; ignored",
+            )
+            return value
 
     def as_array(self, prim: Usd.Prim, name: str, value: Any, dtype: Any, components: int) -> NDArray | None:
         if value is None:

@@ -84,6 +84,10 @@ def base_settings(prim: Usd.Prim, reader: Reader) -> dict[str, Any]:
         settings["dataWindowNDC"] = list(reader.value(prim, "dataWindowNDC", (0.0, 0.0, 1.0, 1.0)))
     if authored(prim, "disableDepthOfField"):
         settings["disableDepthOfField"] = reader.value(prim, "disableDepthOfField", False)
+    # The older name has the same meaning; either may switch motion blur off.
+    names = [name for name in ("disableMotionBlur", "instantaneousShutter") if authored(prim, name)]
+    if names:
+        settings["disableMotionBlur"] = any(reader.value(prim, name, False) for name in names)
     policy = reader.value(prim, "aspectRatioConformPolicy", CONFORM_POLICIES[0])
     if policy not in CONFORM_POLICIES:
         reader.warn(prim, f"aspectRatioConformPolicy: '{policy}' is not supported; 'expandAperture' is used")

@@ -22,7 +22,7 @@ class Skins:
 
     def __init__(self, reader: Reader) -> None:
         self.reader = reader
-        self.xforms = UsdGeom.XformCache(reader.time)
+        self.xforms = UsdGeom.XformCache(reader.moment)
         self.caches: dict[str, UsdSkel.Cache] = {}
 
     def deform(self, prim: Usd.Prim, mesh: Mesh) -> None:
@@ -62,7 +62,7 @@ class Skins:
         normals: "Normals",
     ) -> None:
         animation = skeleton.GetAnimQuery()
-        weights = animation.ComputeBlendShapeWeights(self.reader.time) if animation else None
+        weights = animation.ComputeBlendShapeWeights(self.reader.moment) if animation else None
         if not weights:
             return
         mapper = query.GetBlendShapeMapper()
@@ -89,16 +89,16 @@ class Skins:
         normals: "Normals",
     ) -> NDArray:
         """The points in the mesh's own space; joints move them in the skeleton's."""
-        joints = skeleton.ComputeSkinningTransforms(self.reader.time)
+        joints = skeleton.ComputeSkinningTransforms(self.reader.moment)
         if not joints:
             self.reader.warn(prim, "skel:skeleton: it has no joint transforms; the mesh stays at rest")
             return np.asarray(points)
         to_mesh = self.xforms.GetLocalToWorldTransform(skeleton.GetPrim())
         to_mesh *= self.xforms.GetLocalToWorldTransform(prim).GetInverse()
         if query.IsRigidlyDeformed():
-            to_mesh = query.ComputeSkinnedTransform(joints, self.reader.time) * to_mesh
-        elif query.ComputeSkinnedPoints(joints, points, self.reader.time):
-            normals.skin(query, joints, len(points), self.reader.time)
+            to_mesh = query.ComputeSkinnedTransform(joints, self.reader.moment) * to_mesh
+        elif query.ComputeSkinnedPoints(joints, points, self.reader.moment):
+            normals.skin(query, joints, len(points), self.reader.moment)
         else:
             self.reader.warn(prim, "primvars:skel:jointIndices: they do not fit; the mesh stays at rest")
             return np.asarray(points)

@@ -12,12 +12,13 @@ import numpy as np
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade
 
 from .aovs import PRIMVAR
-from .camera import auto_camera, camera_fields, find_camera
+from .camera import auto_camera, camera_fields, find_camera, find_shutter
 from .colorspace import Colors
 from .emit import Emitter
 from .graph import primvars_read
 from .images import load_image
 from .material import flatten_material
+from .motion import Scene, Shutter, add_motion
 from .products import Product, flatten_products
 from .reading import Reader, Report, usd_words
 from .settings import (
@@ -63,6 +64,8 @@ class Options:
     aovs: whose primvars are read beside those of the render settings.
     camera: path of a camera to include although the walk may not reach it (inactive purpose, inside an
     instance).
+    shutter_camera: name or path of the camera whose shutter counts; empty: that of the settings, else `main_cam`.
+    motion: whether to sample what moves while it is open; None: as the settings say.
     """
 
     purposes: tuple[str, ...] | None = None
@@ -71,13 +74,15 @@ class Options:
     camera: str = ""
     rendering_color_space: str = ""
     aovs: tuple[str, ...] = ()
+    shutter_camera: str = ""
+    motion: bool | None = None
 
 
 @dataclass
 class FlatStage:
     """`prims` by path or key; `stage`: fields of `flat::StageInfo`; `settings`: authored
     `flat::RenderSettings`; `warnings`: (prim, message) of everything dropped or replaced; `products`: the
-    files that the settings ask for; `purposes`: those rendered."""
+    files that the settings ask for; `purposes`: those rendered; `shutter`: open and close from the frame on."""
 
     prims: dict[str, Prim] = field(default_factory=dict)
     stage: dict[str, Any] = field(default_factory=dict)
@@ -85,6 +90,7 @@ class FlatStage:
     warnings: list[tuple[str, str]] = field(default_factory=list)
     products: list[Product] = field(default_factory=list)
     purposes: tuple[str, ...] = ("default",)
+    shutter: tuple[float, float] = (0.0, 0.0)
 
 
 def open_stage(path: str | Path, session_layer: str | Path | None = None, mask: Any = None) -> Usd.Stage:
@@ -136,9 +142,11 @@ def flatten(
     reader.show(aov.removeprefix(PRIMVAR) for aov in shown if aov.startswith(PRIMVAR))
     binding = binding_purposes(settings, reader)
     walk = Walk(stage, reader, flat.purposes, binding)
-    emitter = Emitter(reader, binding, options.enable_dome_light_visibility, walk.links)
-    flat.prims = emitter.emit(walk.run())
+    placements = walk.run()
+    flat.prims = Emitter(reader, binding, options.enable_dome_light_visibility, walk.links).emit(placements)
     add_camera(stage, options.camera or flat.settings.get("camera", ""), flat, reader)
+    scene = Scene(stage, reader, flat.purposes, binding, None, placements)
+    sample_motion(flat, scene, options)
     flat.warnings = reader.report.warnings
     return flat
 
@@ -161,11 +169,35 @@ def flatten_prim(
         material = flatten_material(prim, reader, images)
         flat.prims = {str(prim.GetPath()): material, **images}
     else:
-        walk = Walk(prim.GetStage(), reader, flat.purposes, binding)
+        stage = prim.GetStage()
+        walk = Walk(stage, reader, flat.purposes, binding)
+        placements = walk.run(prim)
         emitter = Emitter(reader, binding, options.enable_dome_light_visibility, walk.links)
-        flat.prims = emitter.emit(walk.run(prim))
+        flat.prims = emitter.emit(placements)
+        sample_motion(flat, Scene(stage, reader, flat.purposes, binding, prim, placements), options, settings)
     flat.warnings = reader.report.warnings
     return flat
+
+
+def sample_motion(flat: FlatStage, scene: Scene, options: Options, settings: Usd.Prim | None = None) -> None:
+    """Adds the keys of what moves while the shutter of the camera is open."""
+    authored = flatten_settings(settings, Reader(scene.reader.time, Report())) if settings else flat.settings
+    wanted = options.motion
+    if wanted is None:
+        off = [
+            product.settings.get("disableMotionBlur", authored.get("disableMotionBlur"))
+            for product in flat.products
+        ]
+        layers = [layer["aov"] for product in flat.products for layer in product.layers or ()]
+        vectors = "motionVector" in (*layers, *authored.get("aovs", ()))
+        wanted = vectors or not all(off or [authored.get("disableMotionBlur")])
+    name = options.shutter_camera or options.camera or authored.get("camera", "")
+    camera = (find_camera(scene.stage, name) if name else None) or find_camera(scene.stage)
+    if camera is None:
+        return
+    flat.shutter = opens, closes = find_shutter(camera.GetPrim(), scene.reader)
+    if wanted and closes > opens:
+        add_motion(flat.prims, scene, Shutter(scene.reader.time.GetValue(), opens, closes))
 
 
 def first_time(stage: Usd.Stage) -> Usd.TimeCode:

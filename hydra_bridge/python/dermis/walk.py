@@ -99,7 +99,7 @@ class Walk:
         self.purposes = {"default", *purposes}
         self.binding_purposes = binding_purposes
         self.links = Links(stage, reader)
-        self.xforms = UsdGeom.XformCache(reader.time)
+        self.xforms = UsdGeom.XformCache(reader.moment)
         self.world = Frame("", 0, INSTANCES)
         self.frames: dict[Any, Frame] = {}
         self.unsupported: dict[str, list[str]] = {}

@@ -195,7 +195,7 @@ fn errors_name_the_file() {
     bytes[6] = 9;
     fs::write(&file, &bytes).unwrap();
     let newer = load(&file).unwrap_err().to_string();
-    assert!(newer.ends_with("version: version 9, this program reads 2; flatten the stage again"), "{newer}");
+    assert!(newer.ends_with("version: version 9, this program reads 3; flatten the stage again"), "{newer}");
     fs::write(&file, []).unwrap();
     assert!(load(&file).unwrap_err().to_string().contains("magic"));
     fs::remove_file(file).unwrap();

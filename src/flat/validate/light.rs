@@ -1,5 +1,6 @@
 //! Lights, their textures and the camera: numbers that cannot make an image black or NaN by accident.
 
+use super::motion::check_keys;
 use super::report::{ANY, LARGEST, NOT_NEGATIVE, Report, UNIT, placement_fault};
 use crate::{
     error::Warning,
@@ -16,6 +17,7 @@ pub fn validate_light(path: &str, light: &mut Light, warnings: &mut Vec<Warning>
         light.transform = IDENTITY;
         light.visible = false;
     }
+    check_keys(&mut light.transform_keys, 1, "the light", &mut report);
     report.clamp("inputs:intensity", &mut light.intensity, NOT_NEGATIVE, default.intensity);
     // 2^100 is as bright as LARGEST.
     report.clamp("inputs:exposure", &mut light.exposure, -100.0..=100.0, default.exposure);
@@ -98,6 +100,12 @@ pub fn validate_camera(path: &str, camera: &mut Camera, warnings: &mut Vec<Warni
     if let Some(fault) = placement_fault(&camera.transform) {
         report.warn(format!("xformOpOrder: the transform {fault}, the camera stands at the origin; mend its xformOps"));
         camera.transform = IDENTITY;
+    }
+    check_keys(&mut camera.transform_keys, 1, "the camera", &mut report);
+    let [open, close] = camera.shutter;
+    if !(open.is_finite() && close.is_finite() && open <= close) {
+        report.warn(format!("shutter:open is {open:?}, shutter:close {close:?}: not a span of time; nothing moves"));
+        camera.shutter = [0.0; 2];
     }
     report.positive("horizontalAperture", &mut camera.horizontal_aperture, default.horizontal_aperture);
     report.positive("verticalAperture", &mut camera.vertical_aperture, default.vertical_aperture);

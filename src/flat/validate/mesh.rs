@@ -1,6 +1,7 @@
 //! Meshes, instancers: topology whose every index is in range, points and placements that are finite.
 
 use super::{
+    motion::{check_keys, check_point_keys},
     primvar::{Sizes, check_primvars, floats},
     report::{LARGEST, Report, is_sane, placement_fault},
     topology::{Fault, Faults, compact},
@@ -25,6 +26,7 @@ pub fn validate_mesh(path: &str, mesh: &mut Mesh, warnings: &mut Vec<Warning>) {
         *mesh = Mesh { visible: false, ..Mesh::default() };
         return;
     }
+    check_keys(&mut mesh.transform_keys, 1, "the mesh", &mut report);
     report.token("subdivisionScheme", &mut mesh.subdivision_scheme, &SCHEMES, "none");
     check_tags(mesh, &mut report);
     check_face_lists(mesh, &mut report);
@@ -32,6 +34,7 @@ pub fn validate_mesh(path: &str, mesh: &mut Mesh, warnings: &mut Vec<Warning>) {
     let authored = mesh.face_vertex_counts.len();
     let points_reported = check_faces(mesh, &mut report);
     mend_points(mesh, points_reported, &mut report);
+    check_point_keys(mesh, &mut report);
     if mesh.visible && mesh.face_vertex_counts.is_empty() {
         // Faces that were all dropped have been reported.
         if authored == 0 {
@@ -54,6 +57,7 @@ pub fn validate_instancer(path: &str, instancer: &mut Instancer, warnings: &mut 
         AnyPrimvar::Float3(primvar) => one_each(&mut primvar.values, name, total, &mut report),
         AnyPrimvar::Float4(primvar) => one_each(&mut primvar.values, name, total, &mut report),
     });
+    check_keys(&mut instancer.transform_keys, total, "every instance", &mut report);
     let bad = instancer.transforms.iter().filter(|matrix| placement_fault(matrix).is_some()).count();
     if bad == 0 {
         return;
@@ -68,7 +72,10 @@ pub fn validate_instancer(path: &str, instancer: &mut Instancer, warnings: &mut 
             AnyPrimvar::Float4(primvar) => keep(&mut primvar.values, &good),
         }
     }
-    instancer.transforms = good.iter().map(|i| instancer.transforms[*i]).collect::<Vec<_>>().into();
+    keep(&mut instancer.transforms, &good);
+    if let Some(keys) = &mut instancer.transform_keys {
+        keys.transforms.iter_mut().for_each(|transforms| keep(transforms, &good));
+    }
     let why = "their transforms are singular or not finite";
     let message = format!("{bad} of {total} instances dropped: {why}; check positions, orientations and scales");
     Report::new(path, warnings).warn(message);

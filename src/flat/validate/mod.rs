@@ -11,6 +11,7 @@
 mod light;
 mod material;
 mod mesh;
+mod motion;
 mod network;
 mod primvar;
 mod report;

@@ -2,8 +2,8 @@
 
 use super::*;
 use crate::flat::{
-    AnyPrimvar, Array, Camera, IDENTITY, Instancer, Interpolation, Light, Material, OpenPbrSurface, PreviewSurface,
-    Primvar, RenderSettings, Shaping, StandardSurface, Texture, array::Element, sample,
+    AnyPrimvar, Array, Camera, IDENTITY, Instancer, Interpolation, Light, Material, Matrix4d, OpenPbrSurface,
+    PreviewSurface, Primvar, RenderSettings, Shaping, StandardSurface, Texture, TransformKeys, array::Element, sample,
 };
 
 fn check_mesh(mesh: &mut Mesh) -> Vec<String> {
@@ -205,16 +205,23 @@ fn face_lists_and_placements() {
     broken[3][0] = f64::NAN;
     let values = vec![0.1, 0.2, 0.3].into();
     let wear = AnyPrimvar::Float(Primvar { interpolation: Interpolation::Vertex, values, indices: None });
+    let far: Matrix4d = [IDENTITY[0], IDENTITY[1], IDENTITY[2], [9.0, 0.0, 0.0, 1.0]];
+    let moved: Array<Matrix4d> = vec![IDENTITY, far, IDENTITY].into();
     let mut instancer = Instancer {
         visible: true,
         transforms: vec![broken, IDENTITY, [[0.0; 4]; 4]].into(),
         display_color: vec![[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]].into(),
         primvars: [("wear".to_owned(), wear)].into(),
+        transform_keys: Some(TransformKeys { times: vec![0.0, 1.0], transforms: vec![moved.clone(), moved] }),
     };
     let warnings = messages(|warnings| validate_instancer("/tree", &mut instancer, warnings));
     assert!(warnings[0].starts_with("2 of 3 instances dropped"), "{warnings:?}");
     assert_eq!(instancer.transforms[..], [IDENTITY]);
     assert_eq!(instancer.display_color[..], [[0.0, 1.0, 0.0]]);
+    assert!(
+        instancer.transform_keys.as_ref().unwrap().transforms.iter().all(|at| at[..] == [far]),
+        "those that stay keep theirs"
+    );
     assert!(matches!(&instancer.primvars["wear"], AnyPrimvar::Float(wear) if wear.values[..] == [0.2]));
     // NaN is none; what is in part a number was to be one.
     for (color, count) in [([f32::NAN; 3], 0), ([f32::INFINITY, 0.0, 1.0], 1), ([0.0, f32::NAN, 0.0], 1)] {

@@ -38,12 +38,13 @@ fn probabilities_sum_to_one_and_are_the_frequencies() {
     for (p, n) in RECEIVERS {
         for n in [None, Some(n)] {
             let probabilities: Vec<f32> =
-                (0..lights.len() as u32).map(|i| lights.choice_probability(i, p, n, Choice::ONE)).collect();
+                (0..lights.len() as u32).map(|i| lights.at(0.0).choice_probability(i, p, n, Choice::ONE)).collect();
             assert!((probabilities.iter().sum::<f32>() - 1.0).abs() < 1e-5);
             let mut counts = vec![0.0; lights.len()];
             const N: u32 = 20_000;
             for i in 0..N {
-                let (light, probability) = lights.draws(p, n, Choice::ONE).choose((i as f32 + 0.5) / N as f32).unwrap();
+                let (light, probability) =
+                    lights.at(0.0).draws(p, n, Choice::ONE).choose((i as f32 + 0.5) / N as f32).unwrap();
                 assert_eq!(probability, probabilities[light as usize]);
                 counts[light as usize] += 1.0 / N as f32;
             }
@@ -74,7 +75,7 @@ fn no_light_that_arrives_is_never_chosen() {
             let p = Vec3::new(random.next(), random.next(), random.next()) * 12.0 - 6.0;
             let n = crate::sampling::uniform_sphere(random.next_2d());
             let lit = random.sample(&lights, p, None).is_some_and(|s| s.radiance.x > 0.0 && n.dot(s.wi) > 0.0);
-            assert!(!lit || lights.choice_probability(0, p, Some(n), Choice::ONE) == 1.0, "{p} {n} {lights:?}");
+            assert!(!lit || lights.at(0.0).choice_probability(0, p, Some(n), Choice::ONE) == 1.0, "{p} {n} {lights:?}");
         }
     }
 }
@@ -83,23 +84,23 @@ fn no_light_that_arrives_is_never_chosen() {
 fn lights_behind_the_receiver_or_turned_away_are_not_chosen() {
     let shapes = area_shapes().map(|s| light(s, placements([0.0, 0.0, 3.0])[0].1));
     let lights = compile(&shapes);
-    assert!((0..4).all(|i| lights.choice_probability(i, Vec3::ZERO, Some(Vec3::NEG_Z), Choice::ONE) == 0.0));
-    assert!(lights.sample(Vec3::ZERO, Some(Vec3::NEG_Z), Choice::ONE, 0.5, Vec2::splat(0.5)).is_none());
+    assert!((0..4).all(|i| lights.at(0.0).choice_probability(i, Vec3::ZERO, Some(Vec3::NEG_Z), Choice::ONE) == 0.0));
+    assert!(lights.at(0.0).sample(Vec3::ZERO, Some(Vec3::NEG_Z), Choice::ONE, 0.5, Vec2::splat(0.5)).is_none());
     let from_above = Vec3::new(0.0, 0.0, 6.0);
-    assert_eq!(lights.choice_probability(0, from_above, None, Choice::ONE), 0.0);
-    assert!(lights.choice_probability(2, from_above, None, Choice::ONE) > 0.0);
+    assert_eq!(lights.at(0.0).choice_probability(0, from_above, None, Choice::ONE), 0.0);
+    assert!(lights.at(0.0).choice_probability(2, from_above, None, Choice::ONE) > 0.0);
 }
 
 #[test]
 fn near_lights_are_preferred() {
     let sphere = |x: f64| light(LightShape::Sphere { radius: 0.1 }, placements([x, 0.0, 0.0])[0].1);
     let lights = compile(&[sphere(1.0), sphere(10.0)]);
-    let probability = lights.choice_probability(0, Vec3::ZERO, None, Choice::ONE);
+    let probability = lights.at(0.0).choice_probability(0, Vec3::ZERO, None, Choice::ONE);
     assert!((probability - 100.0 / 101.0).abs() < 1e-3, "{probability}");
 }
 
 #[test]
 fn no_lights() {
     let lights = compile(&[]);
-    assert!(lights.is_empty() && lights.sample(Vec3::ZERO, None, Choice::ONE, 0.5, Vec2::ZERO).is_none());
+    assert!(lights.is_empty() && lights.at(0.0).sample(Vec3::ZERO, None, Choice::ONE, 0.5, Vec2::ZERO).is_none());
 }

@@ -24,14 +24,14 @@ fn a_sampled_direction_hits_with_the_pdf_it_was_sampled_with() {
                 let Some(s) = random.sample(&lights, p, None) else { continue };
                 sampled += 1;
                 // Directions along the rim may miss by rounding.
-                let Some(hit) = lights.intersect(0, p, s.wi, f32::INFINITY) else {
+                let Some(hit) = lights.at(0.0).intersect(0, p, s.wi, f32::INFINITY) else {
                     missed += 1;
                     continue;
                 };
-                let pdf = lights.pdf_hit(0, p, None, Choice::ONE, s.wi, &hit);
+                let pdf = lights.at(0.0).pdf_hit(0, p, None, Choice::ONE, s.wi, &hit);
                 // At grazing angles the distance itself is uncertain.
                 differing += u32::from((pdf / s.pdf - 1.0).abs() > 1e-3 || (hit.t / s.distance - 1.0).abs() > 1e-4);
-                assert_eq!(lights.radiance_hit(0, s.wi, &hit), s.radiance);
+                assert_eq!(lights.at(0.0).radiance_hit(0, s.wi, &hit), s.radiance);
             }
             assert!(missed * 100 <= sampled, "{what} at {p}: {missed} of {sampled} missed");
             assert!(differing * 200 <= sampled, "{what} at {p}: {differing} of {sampled} differ");
@@ -47,8 +47,8 @@ fn rays_find_the_light_that_samples_find() {
         let mut random = Random::new(8);
         let by_rays = estimate(200_000, || {
             let wi = uniform_sphere(random.next_2d());
-            let hit = lights.intersect(0, p, wi, f32::INFINITY);
-            hit.map_or(0.0, |hit| f64::from(lights.radiance_hit(0, wi, &hit).x / UNIFORM_SPHERE_PDF))
+            let hit = lights.at(0.0).intersect(0, p, wi, f32::INFINITY);
+            hit.map_or(0.0, |hit| f64::from(lights.at(0.0).radiance_hit(0, wi, &hit).x / UNIFORM_SPHERE_PDF))
         });
         let by_samples =
             estimate(50_000, || random.sample(&lights, p, None).map_or(0.0, |s| f64::from(s.radiance.x / s.pdf)));
@@ -141,7 +141,7 @@ fn directions_are_distributed_as_the_pdf_says() {
     for (what, light) in cases() {
         let lights = compile(&[light]);
         for p in POINTS {
-            if lights.choice_probability(0, p, None, Choice::ONE) == 0.0 {
+            if lights.at(0.0).choice_probability(0, p, None, Choice::ONE) == 0.0 {
                 continue;
             }
             let (_, (min, max)) = lights.shapes().next().unwrap();
@@ -149,8 +149,8 @@ fn directions_are_distributed_as_the_pdf_says() {
             let d = center.distance(p);
             let cos_min = if d > radius { (1.0 - (radius / d).powi(2)).sqrt() } else { -1.0 };
             let pdf = |wi: Vec3| {
-                let hit = lights.intersect(0, p, wi, f32::INFINITY);
-                hit.map_or(0.0, |hit| lights.pdf_hit(0, p, None, Choice::ONE, wi, &hit))
+                let hit = lights.at(0.0).intersect(0, p, wi, f32::INFINITY);
+                hit.map_or(0.0, |hit| lights.at(0.0).pdf_hit(0, p, None, Choice::ONE, wi, &hit))
             };
             let axis = (center - p).normalize();
             check_directions(&lights, p, None, (axis, cos_min), pdf, &format!("{what} at {p}"));

@@ -6,7 +6,7 @@ use super::*;
 fn dropped(light: flat::Light) -> String {
     let mut warnings = Vec::new();
     let prims = [("/World/bad".to_owned(), light)].into();
-    let lights = Lights::compile(&prims, &Prims::new(), &|_| None, DVec3::ZERO, &mut warnings);
+    let lights = Lights::compile(&prims, &Prims::new(), &|_| None, DVec3::ZERO, true, &mut warnings);
     assert!(lights.is_empty());
     assert_eq!(warnings.len(), 1, "{warnings:?}");
     assert_eq!(warnings[0].prim, "/World/bad");
@@ -53,7 +53,8 @@ fn brightness_that_is_no_number() {
 fn meshes_without_area() {
     let mut warnings = Vec::new();
     let prims = [("/m".to_owned(), light(LightShape::Mesh { mesh: "/m".into() }, IDENTITY))].into();
-    let lights = Lights::compile(&prims, &Prims::new(), &|_| Some(vec![[Vec3::ONE; 3]]), DVec3::ZERO, &mut warnings);
+    let lights =
+        Lights::compile(&prims, &Prims::new(), &|_| Some(vec![[Vec3::ONE; 3]]), DVec3::ZERO, true, &mut warnings);
     assert!(lights.is_empty() && warnings.len() == 1);
 }
 
@@ -62,7 +63,7 @@ fn a_missing_texture_is_said_and_the_light_stays() {
     let mut warnings = Vec::new();
     let dome = LightShape::Dome { texture: "/gone.exr".into(), pole_axis: "Y".into() };
     let prims = [("/d".to_owned(), light(dome, IDENTITY))].into();
-    let lights = Lights::compile(&prims, &Prims::new(), &|_| None, DVec3::ZERO, &mut warnings);
+    let lights = Lights::compile(&prims, &Prims::new(), &|_| None, DVec3::ZERO, true, &mut warnings);
     assert_eq!(lights.len(), 1);
     assert!(warnings[0].message.contains("/gone.exr"));
 }
@@ -79,8 +80,8 @@ fn the_origin_of_render_space_is_taken_off_in_f64() {
     let far = matrix([1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1e8, 0.0, 2.25]);
     let prims = [("/far".to_owned(), light(LightShape::Sphere { radius: 0.25 }, far))].into();
     let origin = DVec3::new(1e8, 0.0, 0.0);
-    let lights = Lights::compile(&prims, &Prims::new(), &|_| None, origin, &mut Vec::new());
+    let lights = Lights::compile(&prims, &Prims::new(), &|_| None, origin, true, &mut Vec::new());
     assert_eq!(lights.path(0), "/far");
-    let hit = lights.intersect(0, Vec3::ZERO, Vec3::Z, 9.0).unwrap();
+    let hit = lights.at(0.0).intersect(0, Vec3::ZERO, Vec3::Z, 9.0).unwrap();
     assert!((hit.t - 2.0).abs() < 1e-5);
 }

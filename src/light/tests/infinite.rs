@@ -33,8 +33,8 @@ fn assert_spot(lights: &Lights, direction: [f32; 3], what: &str) {
         mean += s.wi * s.radiance.x / s.pdf;
     }
     assert!(mean.normalize().dot(direction) > 0.995, "{what}: {}", mean.normalize());
-    assert!(lights.escaped(0, mean.normalize()).x > 0.4, "{what}");
-    assert_eq!(lights.escaped(0, -direction).x, 0.0, "{what}");
+    assert!(lights.at(0.0).escaped(0, mean.normalize()).x > 0.4, "{what}");
+    assert_eq!(lights.at(0.0).escaped(0, -direction).x, 0.0, "{what}");
 }
 
 #[test]
@@ -82,7 +82,7 @@ fn furnace() {
     assert_agrees(irradiance(&textured, Vec3::ZERO, n, 100_000, 1), PI64, 1e-6, "white map");
     // normalize does not apply to domes.
     let normalized = compile(&[flat::Light { normalize: true, ..plain }]);
-    assert_eq!(normalized.escaped(0, n), Vec3::ONE);
+    assert_eq!(normalized.at(0.0).escaped(0, n), Vec3::ONE);
 }
 
 /// A smooth but lopsided map with a small sun.
@@ -99,7 +99,7 @@ fn direction_sum(lights: &Lights, light: u32, n: Vec3) -> f64 {
         let (sin, cos) = (2.0 * PI64 * ((i / rows) as f64 + 0.5) / columns as f64).sin_cos();
         let r = (1.0 - y * y).sqrt();
         let wi = glam::DVec3::new(r * cos, y, r * sin).as_vec3();
-        sum += f64::from(lights.escaped(light, wi).x * n.dot(wi).max(0.0));
+        sum += f64::from(lights.at(0.0).escaped(light, wi).x * n.dot(wi).max(0.0));
     }
     sum * 4.0 * PI64 / (rows * columns) as f64
 }
@@ -121,12 +121,12 @@ fn irradiance_of_a_sky() {
 fn sky_directions_are_distributed_as_the_pdf_says() {
     for (name, transform) in placements([5.0, 0.0, 0.0]) {
         let lights = compile_with(&[dome("Z", transform)], &sky());
-        let pdf = |wi: Vec3| lights.pdf_escaped(0, Vec3::ZERO, None, Choice::ONE, wi);
+        let pdf = |wi: Vec3| lights.at(0.0).pdf_escaped(0, Vec3::ZERO, None, Choice::ONE, wi);
         check_directions(&lights, Vec3::ZERO, None, (Vec3::Y, -1.0), pdf, name);
     }
     for n in [None, Some(Vec3::new(0.0, 0.6, 0.8))] {
         let lights = compile(&[light(LightShape::Dome { texture: String::new(), pole_axis: "Y".into() }, IDENTITY)]);
-        let pdf = |wi: Vec3| lights.pdf_escaped(0, Vec3::ZERO, n, Choice::ONE, wi);
+        let pdf = |wi: Vec3| lights.at(0.0).pdf_escaped(0, Vec3::ZERO, n, Choice::ONE, wi);
         check_directions(&lights, Vec3::ZERO, n, (Vec3::new(0.0, 0.6, 0.8), -1.0), pdf, "plain dome");
     }
 }
@@ -138,7 +138,7 @@ fn sampled_pdfs_are_the_evaluated_ones_and_no_light_is_missed() {
     let mut differing = 0;
     for _ in 0..2000 {
         let s = random.sample(&lights, Vec3::ZERO, None).unwrap();
-        let pdf = lights.pdf_escaped(0, Vec3::ZERO, None, Choice::ONE, s.wi);
+        let pdf = lights.at(0.0).pdf_escaped(0, Vec3::ZERO, None, Choice::ONE, s.wi);
         // Rounding may put a direction at a pixel's edge into its neighbour.
         differing += u32::from((pdf / s.pdf - 1.0).abs() > 1e-3);
     }
@@ -146,8 +146,8 @@ fn sampled_pdfs_are_the_evaluated_ones_and_no_light_is_missed() {
     let one = spot("Y", IDENTITY, 3, 0);
     for _ in 0..20_000 {
         let wi = crate::sampling::uniform_sphere(random.next_2d());
-        let dark = one.escaped(0, wi).x == 0.0;
-        assert!(dark || one.pdf_escaped(0, Vec3::ZERO, None, Choice::ONE, wi) > 0.0);
+        let dark = one.at(0.0).escaped(0, wi).x == 0.0;
+        assert!(dark || one.at(0.0).pdf_escaped(0, Vec3::ZERO, None, Choice::ONE, wi) > 0.0);
     }
 }
 
@@ -185,21 +185,21 @@ fn distant_radiance_is_that_of_the_cone() {
     let lights = compile(&[flat::Light { intensity: 2.0, ..distant(40.0) }]);
     let n = Vec3::new(0.6, 0.0, 0.8);
     assert_agrees(irradiance(&lights, Vec3::ZERO, n, 60_000, 6), direction_sum(&lights, 0, n), 2e-3, "40 degrees");
-    let pdf = |wi: Vec3| lights.pdf_escaped(0, Vec3::ZERO, None, Choice::ONE, wi);
+    let pdf = |wi: Vec3| lights.at(0.0).pdf_escaped(0, Vec3::ZERO, None, Choice::ONE, wi);
     check_directions(&lights, Vec3::ZERO, None, (Vec3::Z, 0.9), pdf, "40 degrees");
-    let s = lights.sample(Vec3::ZERO, None, Choice::ONE, 0.5, Vec2::splat(0.2)).unwrap();
-    assert!((pdf(s.wi) / s.pdf - 1.0).abs() < 1e-6 && lights.escaped(0, s.wi) == s.radiance);
+    let s = lights.at(0.0).sample(Vec3::ZERO, None, Choice::ONE, 0.5, Vec2::splat(0.2)).unwrap();
+    assert!((pdf(s.wi) / s.pdf - 1.0).abs() < 1e-6 && lights.at(0.0).escaped(0, s.wi) == s.radiance);
 }
 
 #[test]
 fn angle_zero_is_a_single_direction() {
     let transform = matrix([0.0, 0.0, -4.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [7.0, 8.0, 9.0]);
     let lights = compile(&[flat::Light { transform, intensity: 3.0, ..distant(0.0) }]);
-    let s = lights.sample(Vec3::ONE, Some(Vec3::X), Choice::ONE, 0.9, Vec2::splat(0.3)).unwrap();
+    let s = lights.at(0.0).sample(Vec3::ONE, Some(Vec3::X), Choice::ONE, 0.9, Vec2::splat(0.3)).unwrap();
     assert!(s.delta && s.pdf == 1.0 && s.wi.abs_diff_eq(Vec3::X, 1e-6) && s.radiance == Vec3::splat(3.0));
     assert!(lights.infinite().is_empty());
-    assert_eq!(lights.escaped(0, s.wi), Vec3::ZERO);
-    assert_eq!(lights.pdf_escaped(0, Vec3::ONE, None, Choice::ONE, s.wi), 0.0);
+    assert_eq!(lights.at(0.0).escaped(0, s.wi), Vec3::ZERO);
+    assert_eq!(lights.at(0.0).pdf_escaped(0, Vec3::ONE, None, Choice::ONE, s.wi), 0.0);
 }
 
 /// Integral of red radiance times max(0, cos) over the sphere, by its own lookup: midpoints within each pixel, in f64.
@@ -250,7 +250,7 @@ fn maps_of_any_resolution_give_their_integral() {
                 let what = format!("{name} {w} x {h}: {e:?}, true {truth}");
                 assert!((e.mean - truth).abs() <= 4.0 * e.error + slack, "{what}");
             }
-            let pdf = |wi: Vec3| lights.pdf_escaped(0, Vec3::ZERO, None, Choice::ONE, wi);
+            let pdf = |wi: Vec3| lights.at(0.0).pdf_escaped(0, Vec3::ZERO, None, Choice::ONE, wi);
             // What one pixel of many holds is too small for the bins.
             if name == "noise" {
                 check_directions(&lights, Vec3::ZERO, None, (Vec3::Y, -1.0), pdf, &format!("{w} x {h}"));

@@ -79,14 +79,18 @@ fn a_light_that_arrives_may_always_be_chosen() {
             let (p, n) = receiver(&mut random);
             for light in 0..lights.len() as u32 {
                 let u = random.next_2d();
-                let Some(s) = lights.sample_light(light, p, Some(n), u).filter(|s| s.radiance != Vec3::ZERO) else {
+                let Some(s) = lights.at(0.0).sample_light(light, p, Some(n), u).filter(|s| s.radiance != Vec3::ZERO)
+                else {
                     continue;
                 };
-                assert!(lights.reaches(light, p, None), "{name}: light {light} at {p}");
-                assert!(lights.choice_probability(light, p, None, Choice::ONE) > 0.0, "{name}: light {light} at {p}");
+                assert!(lights.at(0.0).reaches(light, p, None), "{name}: light {light} at {p}");
+                assert!(
+                    lights.at(0.0).choice_probability(light, p, None, Choice::ONE) > 0.0,
+                    "{name}: light {light} at {p}"
+                );
                 if n.dot(s.wi) > 0.0 {
                     arrivals += 1;
-                    let probability = lights.choice_probability(light, p, Some(n), Choice::ONE);
+                    let probability = lights.at(0.0).choice_probability(light, p, Some(n), Choice::ONE);
                     assert!(probability > 0.0, "{name}: light {light} at {p} {n}");
                 }
             }
@@ -107,13 +111,13 @@ fn what_is_chosen_is_chosen_as_often_as_said() {
             for (n, learned) in [(None, false), (Some(n), false), (Some(n), true)] {
                 let shares = if learned { &*shares(&lights, &mut random) } else { &[] };
                 let choice = Choice::Drawn { count: 1, shares };
-                let probability = |i| f64::from(lights.choice_probability(i, p, n, choice));
+                let probability = |i| f64::from(lights.at(0.0).choice_probability(i, p, n, choice));
                 let probabilities: Vec<f64> = (0..lights.len() as u32).map(probability).collect();
                 const N: u32 = 40_000;
                 let mut counts = vec![0.0; lights.len()];
                 let mut none = 0.0;
                 for _ in 0..N {
-                    match lights.draws(p, n, choice).choose(random.next()) {
+                    match lights.at(0.0).draws(p, n, choice).choose(random.next()) {
                         Some((light, p)) => {
                             counts[light as usize] += 1.0;
                             assert!((f64::from(p) / probabilities[light as usize] - 1.0).abs() < 1e-4, "{name}");
@@ -147,10 +151,10 @@ fn draws_for_one_receiver_are_those_of_many() {
             let (p, n) = receiver(&mut random);
             let shares = shares(&lights, &mut random);
             let choice = Choice::Drawn { count: 4, shares: &shares };
-            let mut draws = lights.draws(p, Some(n), choice);
+            let mut draws = lights.at(0.0).draws(p, Some(n), choice);
             for _ in 0..20 {
                 let u = random.next();
-                assert_eq!(draws.choose(u), lights.draws(p, Some(n), choice).choose(u), "{name}");
+                assert_eq!(draws.choose(u), lights.at(0.0).draws(p, Some(n), choice).choose(u), "{name}");
             }
         }
     }
@@ -182,7 +186,7 @@ fn where_every_light_arrives_the_probabilities_sum_to_one() {
     };
     let lights = compile(&(0..400).map(sphere).collect::<Vec<_>>());
     let p = Vec3::new(-3.0, 2.0, 5.0);
-    let sum: f64 = (0..400).map(|i| f64::from(lights.choice_probability(i, p, None, Choice::ONE))).sum();
+    let sum: f64 = (0..400).map(|i| f64::from(lights.at(0.0).choice_probability(i, p, None, Choice::ONE))).sum();
     assert!((sum - 1.0).abs() < 1e-5, "{sum}");
 }
 
@@ -191,7 +195,7 @@ fn one_by_one(lights: &Lights, p: Vec3, n: Vec3, samples: u32, seed: u32) -> Est
     let mut random = Random::new(seed);
     estimate(samples, || {
         let given = |light| {
-            let s = lights.sample_light(light, p, Some(n), random.next_2d())?;
+            let s = lights.at(0.0).sample_light(light, p, Some(n), random.next_2d())?;
             let usable = s.pdf > 0.0 && s.pdf.is_finite();
             usable.then(|| f64::from(s.radiance.x * n.dot(s.wi).max(0.0) / s.pdf))
         };
@@ -229,7 +233,7 @@ fn moment(lights: &Lights, p: Vec3, n: Vec3) -> f64 {
     let (mut sum, mut squares) = (0.0, 0.0);
     for light in 0..lights.len() as u32 {
         let given = f64::from(lights.lights[light as usize].importance(p, Some(n)));
-        let probability = f64::from(lights.choice_probability(light, p, Some(n), Choice::ONE));
+        let probability = f64::from(lights.at(0.0).choice_probability(light, p, Some(n), Choice::ONE));
         sum += given;
         if given > 0.0 {
             squares += given * given / probability;
@@ -281,11 +285,15 @@ fn cost_against_the_number_of_lights() {
             for (p, n) in &receivers {
                 let us: Vec<f32> = (0..20).map(|_| random.next()).collect();
                 let begun = std::time::Instant::now();
-                let chosen = us.iter().filter_map(|u| lights.draws(*p, Some(*n), Choice::ONE).choose(*u)).map(|c| c.0);
+                let chosen =
+                    us.iter().filter_map(|u| lights.at(0.0).draws(*p, Some(*n), Choice::ONE).choose(*u)).map(|c| c.0);
                 let chosen: Vec<u32> = chosen.collect();
                 choose.push(begun.elapsed().as_nanos() / 20);
                 let begun = std::time::Instant::now();
-                picked += chosen.iter().map(|l| lights.choice_probability(*l, *p, Some(*n), Choice::ONE)).sum::<f32>();
+                picked += chosen
+                    .iter()
+                    .map(|l| lights.at(0.0).choice_probability(*l, *p, Some(*n), Choice::ONE))
+                    .sum::<f32>();
                 pdf.push(begun.elapsed().as_nanos() / chosen.len().max(1) as u128);
             }
             assert!(picked > 0.0);

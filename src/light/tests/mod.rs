@@ -58,7 +58,7 @@ fn compile(lights: &[flat::Light]) -> Lights {
 fn compile_with(lights: &[flat::Light], textures: &Prims<flat::Texture>) -> Lights {
     let prims = lights.iter().enumerate().map(|(i, l)| (format!("/light{i:04}"), l.clone())).collect();
     let mut warnings = Vec::new();
-    let compiled = Lights::compile(&prims, textures, &|_| None, DVec3::ZERO, &mut warnings);
+    let compiled = Lights::compile(&prims, textures, &|_| None, DVec3::ZERO, true, &mut warnings);
     assert!(warnings.is_empty(), "{warnings:?}");
     compiled
 }
@@ -81,7 +81,7 @@ impl Random {
 
     fn sample(&mut self, lights: &Lights, p: Vec3, n: Option<Vec3>) -> Option<LightSample> {
         let (choice, u) = (self.next(), self.next_2d());
-        lights.sample(p, n, Choice::ONE, choice, u)
+        lights.at(0.0).sample(p, n, Choice::ONE, choice, u)
     }
 }
 

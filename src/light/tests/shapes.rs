@@ -134,15 +134,15 @@ fn mirroring_leaves_the_emitting_side() {
     let rect = LightShape::Rect { width: 1.0, height: 1.0, texture: String::new() };
     let mirrored = matrix([-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 2.0]);
     let lights = compile(&[light(rect.clone(), mirrored)]);
-    assert!(lights.sample(ORIGIN, None, Choice::ONE, 0.5, Vec2::splat(0.5)).is_some());
-    assert!(lights.sample(Vec3::Z * 4.0, None, Choice::ONE, 0.5, Vec2::splat(0.5)).is_none());
-    assert!(lights.intersect(0, ORIGIN, Vec3::Z, 9.0).is_some());
-    assert!(lights.intersect(0, Vec3::Z * 4.0, Vec3::NEG_Z, 9.0).is_none());
+    assert!(lights.at(0.0).sample(ORIGIN, None, Choice::ONE, 0.5, Vec2::splat(0.5)).is_some());
+    assert!(lights.at(0.0).sample(Vec3::Z * 4.0, None, Choice::ONE, 0.5, Vec2::splat(0.5)).is_none());
+    assert!(lights.at(0.0).intersect(0, ORIGIN, Vec3::Z, 9.0).is_some());
+    assert!(lights.at(0.0).intersect(0, Vec3::Z * 4.0, Vec3::NEG_Z, 9.0).is_none());
     // Mirrored along Z it does turn around.
     let turned = matrix([1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [0.0, 0.0, 2.0]);
     let lights = compile(&[light(rect, turned)]);
-    assert!(lights.intersect(0, ORIGIN, Vec3::Z, 9.0).is_none());
-    assert!(lights.intersect(0, Vec3::Z * 4.0, Vec3::NEG_Z, 9.0).is_some());
+    assert!(lights.at(0.0).intersect(0, ORIGIN, Vec3::Z, 9.0).is_none());
+    assert!(lights.at(0.0).intersect(0, Vec3::Z * 4.0, Vec3::NEG_Z, 9.0).is_some());
 }
 
 #[test]
@@ -150,9 +150,9 @@ fn nothing_shines_inside() {
     for shape in [LightShape::Sphere { radius: 1.0 }, LightShape::Cylinder { length: 2.0, radius: 1.0 }] {
         let lights = compile(&[light(shape, IDENTITY)]);
         let p = Vec3::new(0.2, 0.3, -0.1);
-        assert!(lights.sample(p, None, Choice::ONE, 0.5, Vec2::splat(0.3)).is_none());
-        assert!(lights.intersect(0, p, Vec3::Y, 9.0).is_none());
-        assert!(lights.intersect(0, Vec3::new(5.0, 0.0, 0.0), Vec3::NEG_X, 1.0).is_none());
+        assert!(lights.at(0.0).sample(p, None, Choice::ONE, 0.5, Vec2::splat(0.3)).is_none());
+        assert!(lights.at(0.0).intersect(0, p, Vec3::Y, 9.0).is_none());
+        assert!(lights.at(0.0).intersect(0, Vec3::new(5.0, 0.0, 0.0), Vec3::NEG_X, 1.0).is_none());
     }
 }
 
@@ -164,8 +164,8 @@ fn the_first_pixel_of_a_rect_is_at_plus_x_plus_y() {
     let textures = [(texture, flat::Texture { width: 2, height: 2, pixels, ..Default::default() })].into();
     let lights = compile_with(&[light(rect, IDENTITY)], &textures);
     let colour = |x: f32, y: f32| {
-        let hit = lights.intersect(0, Vec3::new(x, y, -1.0), Vec3::Z, 9.0).unwrap();
-        lights.radiance_hit(0, Vec3::Z, &hit)
+        let hit = lights.at(0.0).intersect(0, Vec3::new(x, y, -1.0), Vec3::Z, 9.0).unwrap();
+        lights.at(0.0).radiance_hit(0, Vec3::Z, &hit)
     };
     assert_eq!(colour(0.9, 0.9), Vec3::X);
     assert_eq!(colour(-0.9, 0.9), Vec3::Y);
@@ -179,7 +179,7 @@ fn mesh_lights(extra: &flat::Light) -> Lights {
     let triangles = vec![[a, c, b], [a, a, b], [a, d, c]];
     let mesh = flat::Light { shape: LightShape::Mesh { mesh: "/mesh".into() }, ..extra.clone() };
     let prims = [("/mesh".to_owned(), mesh)].into();
-    Lights::compile(&prims, &Prims::new(), &|_| Some(triangles.clone()), DVec3::ZERO, &mut Vec::new())
+    Lights::compile(&prims, &Prims::new(), &|_| Some(triangles.clone()), DVec3::ZERO, true, &mut Vec::new())
 }
 
 #[test]
@@ -207,11 +207,11 @@ fn mesh_hits_have_the_pdf_they_were_sampled_with() {
         let q = p + s.wi * s.distance;
         // The diagonal from (-0.7, -0.3) to (0.7, 0.3) parts triangle 0 from triangle 2.
         let hit = ShapeHit::on_mesh(s.distance, if q.y * 0.7 < q.x * 0.3 { 0 } else { 2 });
-        assert!((lights.pdf_hit(0, p, None, Choice::ONE, s.wi, &hit) / s.pdf - 1.0).abs() < 1e-4);
-        assert_eq!(lights.radiance_hit(0, s.wi, &hit), s.radiance);
+        assert!((lights.at(0.0).pdf_hit(0, p, None, Choice::ONE, s.wi, &hit) / s.pdf - 1.0).abs() < 1e-4);
+        assert_eq!(lights.at(0.0).radiance_hit(0, s.wi, &hit), s.radiance);
     }
     let behind = ShapeHit::on_mesh(1.0, 0);
-    assert_eq!(lights.radiance_hit(0, Vec3::NEG_Z, &behind), Vec3::ZERO);
-    assert_eq!(lights.pdf_hit(0, Vec3::Z * 3.0, None, Choice::ONE, Vec3::NEG_Z, &behind), 0.0);
+    assert_eq!(lights.at(0.0).radiance_hit(0, Vec3::NEG_Z, &behind), Vec3::ZERO);
+    assert_eq!(lights.at(0.0).pdf_hit(0, Vec3::Z * 3.0, None, Choice::ONE, Vec3::NEG_Z, &behind), 0.0);
     assert!(random.sample(&lights, Vec3::Z * 5.0, None).is_none());
 }

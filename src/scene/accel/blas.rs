@@ -9,6 +9,7 @@ use super::pages;
 use super::traverse::{Tree, Visitor};
 use super::triangle::{Crossing, Leaf, Shear, WIDTH};
 use glam::Vec3;
+use std::borrow::Borrow;
 
 /// A ray's meeting with a triangle: the point is (1 - u - v) a + u b + v c.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -41,9 +42,7 @@ impl Blas {
         let binary = binary_tree(&boxes, WIDTH);
         let mut leaves = pages::with_capacity(binary.nodes.iter().filter(|node| node.is_leaf()).count());
         let tree = collapse(&binary, &boxes, |ids| {
-            let mut leaf = Leaf::EMPTY;
-            ids.iter().enumerate().for_each(|(lane, &id)| leaf.set(lane, id, triangles[id as usize].map(corner)));
-            leaves.push(leaf);
+            leaves.push(Leaf::of(ids, |id| triangles[id as usize].map(corner)));
             leaves.len() as u32 - 1
         });
         Self { tree, leaves, one_sided: false }
@@ -61,17 +60,11 @@ impl Blas {
 
     /// As [`Blas::closest`], without triangle `skip`: a ray that starts on a triangle cannot meet its plane again.
     pub fn closest_skip(&self, ray: &Ray, skip: u32) -> Option<TriHit> {
-        // Triangle 0 as "none yet" makes t_max exclusive: no index is below it at equal t.
-        let best = TriHit { t: ray.t_max, triangle: 0, u: 0.0, v: 0.0 };
-        let (found, best) = if self.one_sided {
-            let sides = Front(ray.d);
-            let visitor = self.tree.walk(ray, Closest { leaves: &self.leaves, sides, skip, best, found: false });
-            (visitor.found, visitor.best)
-        } else {
-            let visitor = self.tree.walk(ray, Closest { leaves: &self.leaves, sides: Both, skip, best, found: false });
-            (visitor.found, visitor.best)
-        };
-        found.then_some(best)
+        let leaves = self.leaves.as_slice();
+        if self.one_sided {
+            return closest(&self.tree, leaves, Front(ray.d), ray, skip);
+        }
+        closest(&self.tree, leaves, Both, ray, skip)
     }
 
     /// Whether anything is hit in (0, t_max).
@@ -81,12 +74,11 @@ impl Blas {
 
     /// As [`Blas::any`], without triangle `skip`.
     pub fn any_skip(&self, ray: &Ray, skip: u32) -> bool {
-        let t_max = ray.t_max;
+        let leaves = self.leaves.as_slice();
         if self.one_sided {
-            let sides = Front(ray.d);
-            return self.tree.walk(ray, Any { leaves: &self.leaves, sides, skip, t_max, found: false }).found;
+            return any(&self.tree, leaves, Front(ray.d), ray, skip);
         }
-        self.tree.walk(ray, Any { leaves: &self.leaves, sides: Both, skip, t_max, found: false }).found
+        any(&self.tree, leaves, Both, ray, skip)
     }
 
     /// Object-space bounds, empty without triangles; at most a few roundings larger than the points'.
@@ -108,7 +100,7 @@ pub(super) trait Sides {
 pub(super) struct Both;
 
 /// Only the front, for a ray along this.
-struct Front(Vec3);
+pub(super) struct Front(pub Vec3);
 
 impl Sides for Both {
     #[inline(always)]
@@ -149,15 +141,44 @@ pub(super) fn crossings<L: Lanes>(
     false
 }
 
-struct Closest<'a, S> {
-    leaves: &'a [Leaf],
+/// Where a walk finds its leaves.
+pub(super) trait Leaves {
+    type Leaf: Borrow<Leaf>;
+    fn leaf(&self, i: u32) -> Self::Leaf;
+}
+
+impl<'a> Leaves for &'a [Leaf] {
+    type Leaf = &'a Leaf;
+    #[inline(always)]
+    fn leaf(&self, i: u32) -> &'a Leaf {
+        &self[i as usize]
+    }
+}
+
+/// The closest of the triangles in `leaves`, by way of their tree.
+#[inline(always)]
+pub(super) fn closest(tree: &Tree, leaves: impl Leaves, sides: impl Sides, ray: &Ray, skip: u32) -> Option<TriHit> {
+    // Triangle 0 as "none yet" makes t_max exclusive: no index is below it at equal t.
+    let best = TriHit { t: ray.t_max, triangle: 0, u: 0.0, v: 0.0 };
+    let visitor = tree.walk(ray, Closest { leaves, sides, skip, best, found: false });
+    visitor.found.then_some(visitor.best)
+}
+
+/// Whether one of them is met.
+#[inline(always)]
+pub(super) fn any(tree: &Tree, leaves: impl Leaves, sides: impl Sides, ray: &Ray, skip: u32) -> bool {
+    tree.walk(ray, Any { leaves, sides, skip, t_max: ray.t_max, found: false }).found
+}
+
+struct Closest<P, S> {
+    leaves: P,
     sides: S,
     skip: u32,
     best: TriHit,
     found: bool,
 }
 
-impl<S: Sides> Visitor for Closest<'_, S> {
+impl<P: Leaves, S: Sides> Visitor for Closest<P, S> {
     #[inline(always)]
     fn t_max(&self) -> f32 {
         self.best.t
@@ -166,7 +187,7 @@ impl<S: Sides> Visitor for Closest<'_, S> {
     #[inline(always)]
     fn leaf<L: Lanes>(&mut self, leaf: u32, shear: &Shear) -> bool {
         let Self { leaves, sides, skip, best, found } = self;
-        crossings::<L>(&leaves[leaf as usize], shear, sides, |triangle, Crossing { t, u, v }| {
+        crossings::<L>(leaves.leaf(leaf).borrow(), shear, sides, |triangle, Crossing { t, u, v }| {
             let nearer = t < best.t || (t == best.t && triangle < best.triangle);
             if t > 0.0 && nearer && triangle != *skip {
                 *best = TriHit { t, triangle, u, v };
@@ -177,15 +198,15 @@ impl<S: Sides> Visitor for Closest<'_, S> {
     }
 }
 
-struct Any<'a, S> {
-    leaves: &'a [Leaf],
+struct Any<P, S> {
+    leaves: P,
     sides: S,
     skip: u32,
     t_max: f32,
     found: bool,
 }
 
-impl<S: Sides> Visitor for Any<'_, S> {
+impl<P: Leaves, S: Sides> Visitor for Any<P, S> {
     #[inline(always)]
     fn t_max(&self) -> f32 {
         self.t_max
@@ -193,7 +214,8 @@ impl<S: Sides> Visitor for Any<'_, S> {
 
     #[inline(always)]
     fn leaf<L: Lanes>(&mut self, leaf: u32, shear: &Shear) -> bool {
-        self.found = crossings::<L>(&self.leaves[leaf as usize], shear, &self.sides, |triangle, Crossing { t, .. }| {
+        let met = self.leaves.leaf(leaf);
+        self.found = crossings::<L>(met.borrow(), shear, &self.sides, |triangle, Crossing { t, .. }| {
             t > 0.0 && t < self.t_max && triangle != self.skip
         });
         self.found

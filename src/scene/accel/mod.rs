@@ -1,7 +1,7 @@
 //! Ray acceleration: which triangle does a ray meet first, and which objects may it meet at all.
 //!
 //! obvhs builds a binary tree (`build`), `collapse` makes it eight wide, `traverse` walks it. A [`Blas`]
-//! holds the triangles of one mesh in object space, a [`Tlas`] the boxes of placed objects.
+//! holds the triangles of one mesh in object space, a [`MovingBlas`] those of one whose points move, a [`Tlas`] the boxes of placed objects.
 //!
 //! What the walk under the skin relies on:
 //! - *No leaks.* The triangle test is watertight (Woop, Benthin and Wald 2013) and the box test never culls
@@ -15,6 +15,7 @@ mod blas;
 mod build;
 mod collapse;
 mod lanes;
+mod moving;
 mod nearest;
 mod node;
 mod pages;
@@ -27,6 +28,7 @@ mod tests;
 
 pub use aabb::Aabb;
 pub use blas::{Blas, TriHit};
+pub use moving::{MovingBlas, between};
 pub use nearest::ClosestPoint;
 pub use tlas::Tlas;
 

@@ -5,6 +5,7 @@ use super::node::LEAF;
 use super::traverse::Tree;
 use super::triangle::Leaf;
 use glam::{DMat3, DVec3, Mat3, Vec3};
+use std::borrow::Borrow;
 
 /// The nearest point (1 - u - v) a + u b + v c of a triangle.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -32,11 +33,22 @@ impl Blas {
     /// As [`Blas::closest_point`], with distances measured after the linear map `metric`, which shortens no vector
     /// by more than the factor `least_stretch`.
     pub fn closest_point_under(&self, metric: &Mat3, least_stretch: f32, p: Vec3) -> Option<ClosestPoint> {
-        let scale = least_stretch * least_stretch * SHRINK;
-        let mut query = Query { metric: metric.as_dmat3(), p, scale, best: None, bound: f64::INFINITY };
-        self.tree.nearest(p, scale, |leaf| query.leaf(&self.leaves[leaf as usize]));
-        query.best
+        closest_point_under(&self.tree, |i| &self.leaves[i as usize], metric, least_stretch, p)
     }
+}
+
+/// Of the triangles in the leaves that `leaf` finds.
+pub(super) fn closest_point_under<T: Borrow<Leaf>>(
+    tree: &Tree,
+    leaf: impl Fn(u32) -> T,
+    metric: &Mat3,
+    least_stretch: f32,
+    p: Vec3,
+) -> Option<ClosestPoint> {
+    let scale = least_stretch * least_stretch * SHRINK;
+    let mut query = Query { metric: metric.as_dmat3(), p, scale, best: None, bound: f64::INFINITY };
+    tree.nearest(p, scale, |i| query.leaf(leaf(i).borrow()));
+    query.best
 }
 
 struct Query {

@@ -25,6 +25,13 @@ pub(super) struct Leaf {
 impl Leaf {
     pub const EMPTY: Self = Self { p: [[[f32::NAN; 8]; 3]; 3], id: [u32::MAX; 8] };
 
+    /// At most eight triangles, by their indices.
+    pub fn of(ids: &[u32], corners: impl Fn(u32) -> [Vec3; 3]) -> Self {
+        let mut leaf = Self::EMPTY;
+        ids.iter().enumerate().for_each(|(lane, &id)| leaf.set(lane, id, corners(id)));
+        leaf
+    }
+
     pub fn set(&mut self, lane: usize, id: u32, p: [Vec3; 3]) {
         for (vertex, p) in p.iter().enumerate() {
             for axis in 0..3 {

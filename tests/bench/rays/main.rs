@@ -154,7 +154,7 @@ impl Row {
         let (robust, default) = (Built::new(embree, Mode::Robust, subject), Built::new(embree, Mode::Default, subject));
         let build = build_line(subject, &robust, &default);
         let rays = RaySets::new(subject, 1.0);
-        let (scene, size) = (&subject.scene, rays.size);
+        let (scene, size) = (subject.scene.at(0.0), rays.size);
         let closest = |r: &Ray| scene.closest(r.o, r.d, r.t_max, None).map_or(f32::INFINITY, |hit| hit.t);
         let within = |r: &Ray| {
             scene

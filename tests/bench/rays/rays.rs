@@ -68,14 +68,14 @@ fn primary(subject: &Subject, random: &mut Random) -> Vec<Ray> {
 
 fn bounds(subject: &Subject) -> Aabb {
     let places = subject.scene.instances.iter();
-    places.fold(Aabb::EMPTY, |all, i| all.union(&i.geometry.blas.bounds().transform(&i.to_render)))
+    places.fold(Aabb::EMPTY, |all, i| all.union(&i.geometry.bounds().transform(&i.to_render)))
 }
 
 /// The point that a ray meets, and the normal there on the ray's side.
 fn surface(subject: &Subject, ray: &Ray) -> Option<(Vec3, Vec3)> {
-    let hit = subject.scene.closest(ray.o, ray.d, ray.t_max, None)?;
+    let hit = subject.scene.at(0.0).closest(ray.o, ray.d, ray.t_max, None)?;
     let instance = &subject.scene.instances[hit.instance as usize];
-    let [a, b, c] = instance.geometry.corners(hit.triangle);
+    let [a, b, c] = instance.geometry.corners(hit.triangle, 0.0);
     let n = instance.to_render.normal((b - a).cross(c - a)).normalize_or(-ray.d);
     let p = instance.to_render.point(a * (1.0 - hit.u - hit.v) + b * hit.u + c * hit.v);
     Some((p, if n.dot(ray.d) < 0.0 { n } else { -n }))
@@ -85,7 +85,7 @@ fn segments(subject: &Subject, mut p: Vec3, mut d: Vec3, mean: f32, random: &mut
     for _ in 0..SEGMENTS {
         let ray = Ray::new(p, d, -(1.0 - random.unit()).ln() * mean);
         walk.push(ray);
-        if subject.scene.occluded(ray.o, ray.d, ray.t_max, None) {
+        if subject.scene.at(0.0).occluded(ray.o, ray.d, ray.t_max, None) {
             return;
         }
         p = ray.at(ray.t_max);

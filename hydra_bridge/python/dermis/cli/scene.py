@@ -166,12 +166,16 @@ class Stage:
         return loaded
 
     def _options(self) -> stage.Options:
+        typed = self.typed.get("disableMotionBlur")
+        vectors = "motionVector" in self.typed.get("aovs", ())
         return stage.Options(
             self.purposes,
             self.args.enableDomeLightVisibility,
             self.settings_path,
             rendering_color_space=self.typed.get("renderingColorSpace", ""),
             aovs=tuple(self.typed.get("aovs", ())),
+            shutter_camera=self.args.camera or self.typed.get("camera", ""),
+            motion=True if vectors else None if typed is None else not typed,
         )
 
     def _purposes(self) -> tuple[str, ...] | None:
@@ -212,6 +216,12 @@ class Stage:
         elif not camera:
             aspect = view.framing_aspect(self.args, self.typed, authored)
             flat.prims[path] = cameras.auto_camera(self.stage, when, flat.purposes, aspect)
+        if camera and list(flat.shutter) != flat.prims[path]["shutter"]:
+            spans = [
+                f"{opens:g} to {closes:g}" for opens, closes in (flat.prims[path]["shutter"], flat.shutter)
+            ]
+            message = f"shutter:open, shutter:close: {spans[0]}; motion is sampled from {spans[1]}, for all products"
+            loaded.warnings.append((path, message))
         size = view.image_size(self.args, self.typed, authored, view.aspect_ratio(flat.prims[path]))
         if "resolution" in authored and size != authored["resolution"]:
             loaded.log += overrides({"resolution": size}, authored, source)

@@ -85,12 +85,13 @@ def camera_light(camera: Mapping[str, Any]) -> dict[str, Any]:
     A distant light of angle 0 has irradiance = intensity; pi makes a white diffuse card that faces the
     camera radiance albedo / pi * pi = 1.
     """
-    return {
+    light = {
         "type": "Light",
         "transform": camera["transform"],
         "intensity": math.pi,
         "shape": {"kind": "distant", "angle": 0.0},
     }
+    return {**light, "transformKeys": camera["transformKeys"]} if "transformKeys" in camera else light
 
 
 def find_named(cameras: list[str], name: str) -> str | None:
