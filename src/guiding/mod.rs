@@ -93,10 +93,10 @@ impl Guide {
     /// Plans and kernels; fields are to be filled where a plan needs them.
     pub fn new(scene: &Scene, settings: &RenderSettings) -> Self {
         let plans = plans(scene, settings);
-        let media = plans.iter().zip(&scene.surfaces).map(|(plan, coating)| {
-            let interior = plan.as_ref().and(coating.interior)?;
-            Some(GuidedMedium::new(interior.medium))
-        });
+        let media = plans
+            .iter()
+            .zip(&scene.surfaces)
+            .map(|(plan, coating)| Some(plan.as_ref()?.medium_at(coating.interior?.medium)));
         Self {
             media: media.collect(),
             fields: scene.instances.iter().map(|_| None).collect(),

@@ -145,7 +145,9 @@ impl Four {
             lit &= height.cmpge(Vec4::ZERO);
             // Of a box about p counts what is above it.
             let above = (height / (reach + reach)).max(Vec4::splat(ROUNDING)).min(Vec4::ONE);
-            cosines *= Vec4::select(within, above, facing(wi.dot(&V3::splat(n)), ball));
+            let cos = wi.dot(&V3::splat(n));
+            let sin = (Vec4::ONE - cos * cos).max(Vec4::ZERO).sqrt();
+            cosines *= Vec4::select(within, above, mean_cosine((sin, cos), ball));
         }
         lit &= cosines.cmpgt(Vec4::ZERO);
         let weight = self.intensity * cosines * (inverse * inverse).min(self.nearest);
@@ -153,22 +155,29 @@ impl Four {
         (Vec4::select(lit, weight, Vec4::ZERO), (lit & within).bitmask())
     }
 
-    /// Largest cosines between a normal of the cluster and the way to a receiver that sees it within `ball`, its axis under `cos`.
+    /// Cosines between a normal of the cluster and the way to a receiver that sees it within `ball`, its axis under `cos`: of
+    /// parallel normals the mean, else the largest.
     #[inline(always)]
     fn emission(&self, cos: Vec4, ball: (Vec4, Vec4)) -> Vec4 {
         let cos = cos.max(Vec4::NEG_ONE).min(Vec4::ONE);
-        let beyond = less(((Vec4::ONE - cos * cos).sqrt(), cos), (self.sin, self.cos));
-        let (_, cos) = less(beyond, ball);
-        Vec4::select(cos.cmplt(self.end), Vec4::ZERO, cos.max(Vec4::splat(ROUNDING)))
+        let sin = (Vec4::ONE - cos * cos).sqrt();
+        let parallel = self.cos.cmpge(Vec4::ONE) & self.end.cmplt(Vec4::ZERO);
+        let (_, largest) = less(less((sin, cos), (self.sin, self.cos)), ball);
+        let largest = Vec4::select(largest.cmplt(self.end), Vec4::ZERO, largest.max(Vec4::splat(ROUNDING)));
+        Vec4::select(parallel, mean_cosine((sin, cos), ball), largest)
     }
 }
 
-/// As [`super::choice::facing`], of cosines towards the middle.
+/// Mean of max(0, cos) over what is seen within `ball` about the angle `a`, as if cosines were evenly spread between the
+/// largest and the least: that of a bound would favour what is large and near the horizon. Positive where any is.
 #[inline(always)]
-fn facing(cos: Vec4, ball: (Vec4, Vec4)) -> Vec4 {
-    let sin = (Vec4::ONE - cos * cos).max(Vec4::ZERO).sqrt();
-    let nearest = cos * ball.1 + sin * ball.0 + Vec4::splat(ROUNDING);
-    Vec4::select(cos.cmpge(ball.1), Vec4::ONE, nearest.max(Vec4::ZERO))
+fn mean_cosine(a: (Vec4, Vec4), ball: (Vec4, Vec4)) -> Vec4 {
+    let (middle, half) = (a.1 * ball.1, a.0 * ball.0);
+    let largest = Vec4::select(a.1.cmpge(ball.1), Vec4::ONE, middle + half) + Vec4::splat(ROUNDING);
+    let least = middle - half;
+    let largest = largest.max(Vec4::ZERO);
+    let cut = largest * largest / (Vec4::splat(2.0) * (largest - least).max(Vec4::splat(ROUNDING)));
+    Vec4::select(least.cmpge(Vec4::ZERO), Vec4::splat(0.5) * (largest + least), cut)
 }
 
 /// Sine and cosine of max(0, a - b) of two angles in [0, pi], each as sine and cosine.
