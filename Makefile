@@ -12,7 +12,7 @@ SOURCES := pyproject.toml Cargo.toml Cargo.lock \
 # pyo3 asks this interpreter for its build settings, also under clippy and rustdoc.
 export PYO3_PYTHON := $(CURDIR)/$(BIN)/python
 
-.PHONY: render test stability needs scaling bench-lights bench-rays lint format clean
+.PHONY: render test stability needs scaling bench-lights bench-training bench-rays lint format clean
 .DELETE_ON_ERROR:
 
 render: $(INSTALLED)
@@ -40,6 +40,10 @@ scaling: $(TEST_INSTALLED)
 # Cost and efficiency against the number of lights, some minutes.
 bench-lights: $(TEST_INSTALLED)
 	$(BIN)/python tests/bench_lights.py
+
+# What training costs and gains at budgets of 1 to 20 seconds, half an hour; stages of ../shared.
+bench-training: $(TEST_INSTALLED)
+	$(BIN)/python tests/bench_training.py
 
 # dermis beside Embree on the same rays, a few minutes. Embree comes with PyPI's embreex; scenes of ../shared where it is.
 RAY_SCENES := $(firstword $(wildcard ../shared/scenes/backlit_bunny.usda) usd_scenes/orc.usda) \

@@ -18,7 +18,7 @@ pub const FEW: usize = 16;
 /// Nodes from the root on of whose children visible shares are learned by region: two levels.
 const KNOWN: usize = 1 + LANES;
 
-/// Levels of which a receiver's descents remember the last node.
+/// Levels of which a receiver's descents remember the last node; all below share the last one.
 const REMEMBERED: usize = 4;
 
 const NONE: u32 = u32::MAX;
@@ -238,12 +238,12 @@ impl<F: Fn(u32) -> f64> Descents<'_, F> {
     }
 
     #[inline]
-    fn pass(&mut self, node: u32, depth: usize) -> Passed {
-        let Some(last) = self.passed.get_mut(depth) else { return self.tree.weigh(node, &self.at) };
+    fn pass(&mut self, node: u32, depth: usize) -> &Passed {
+        let last = &mut self.passed[depth.min(REMEMBERED - 1)];
         if last.node != node {
             *last = self.tree.weigh(node, &self.at);
         }
-        *last
+        last
     }
 }
 
