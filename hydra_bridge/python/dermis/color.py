@@ -7,14 +7,16 @@ import os
 from collections.abc import Iterable
 from copy import copy
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import PyOpenColorIO as ocio
 from numpy.typing import NDArray
-from PIL import Image
-from PIL.PngImagePlugin import PngInfo
 
 from .colorspace import REC709, transformed
+
+# Libraries of display images are loaded where one is made: most renders write an EXR alone.
+if TYPE_CHECKING:
+    import PyOpenColorIO as ocio
 
 #: The configuration without `$OCIO`: by its full name, for `ocio://default` changes with the library.
 BUILTIN_CONFIG = "cg-config-v4.0.0_aces-v2.0_ocio-v2.5"
@@ -60,7 +62,9 @@ class DisplayTransform:
         if mode == "openColorIO":
             self._processor = self._build(config, display, view, look)
 
-    def _build(self, name: str, display: str, view: str, look: str) -> ocio.CPUProcessor:
+    def _build(self, name: str, display: str, view: str, look: str) -> "ocio.CPUProcessor":
+        import PyOpenColorIO as ocio
+
         config, self.config_name = open_config(name)
         source = linear_rec709(config)
         self.display = _known("display", display, config.getDisplays(), config.getDefaultDisplay())
@@ -96,8 +100,10 @@ class DisplayTransform:
         return np.clip(pixels, 0.0, 1.0)
 
 
-def open_config(name: str = "") -> tuple[ocio.Config, str]:
+def open_config(name: str = "") -> "tuple[ocio.Config, str]":
     """The configuration called `name`, else `$OCIO`, else the pinned built-in one; with the name used."""
+    import PyOpenColorIO as ocio
+
     name = name or os.environ.get("OCIO", "") or BUILTIN_CONFIG
     builtins = [entry[0] for entry in ocio.BuiltinConfigRegistry().getBuiltinConfigs()]
     try:
@@ -110,7 +116,7 @@ def open_config(name: str = "") -> tuple[ocio.Config, str]:
     return config, name
 
 
-def linear_rec709(config: ocio.Config) -> str:
+def linear_rec709(config: "ocio.Config") -> str:
     """Name of the configuration's colour space for linear Rec.709, the renderer's own."""
     for name in LINEAR_REC709:
         if space := config.getColorSpace(name):
@@ -152,6 +158,9 @@ def write_display_image(
     file: Path, color: NDArray[np.floating], transform: DisplayTransform, comment: str = ""
 ) -> None:
     """Writes a PNG (RGBA) or a JPEG (RGB over black); `color` is premultiplied linear RGBA or RGB."""
+    from PIL import Image
+    from PIL.PngImagePlugin import PngInfo
+
     if Path(file).suffix.lower() == ".png":
         notes = PngInfo()
         if comment:
@@ -165,6 +174,8 @@ def write_display_image(
 
 def image_comment(file: Path) -> str:
     """The comment of a PNG or JPEG. Raises OSError for a file that is none, or is damaged."""
+    from PIL import Image
+
     with Image.open(file) as image:
         image.load()
         comment = image.info.get("comment", "")
