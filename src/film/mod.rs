@@ -10,7 +10,7 @@ pub use walks::FirstWalk;
 
 use crate::camera::{DataWindow, View};
 use crate::error::{Error, Result};
-use crate::flat::{GUIDE_AOVS, PRIMVAR_AOV};
+use crate::flat::{GUIDE_AOVS, LIGHT_AOV, PRIMVAR_AOV};
 use crate::math::Rgb;
 use bytemuck::{Pod, Zeroable};
 use cryptomatte::ObjectSums;
@@ -39,6 +39,8 @@ struct Planes {
     pub objects: bool,
     /// How many primvars of the first surface.
     pub primvars: usize,
+    /// AOVs of lights.
+    pub lights: usize,
 }
 
 impl Planes {
@@ -54,6 +56,7 @@ impl Planes {
             walks: has(&GUIDE_AOVS),
             objects: has(&["cryptoObject"]),
             primvars: names.iter().filter(|name| name.starts_with(PRIMVAR_AOV)).count(),
+            lights: names.iter().filter(|n| n.starts_with(LIGHT_AOV)).count(),
         }
     }
 }
@@ -140,6 +143,8 @@ pub struct Tile {
     objects: Vec<ObjectSums>,
     /// By pixel, then by primvar.
     primvars: Vec<Vec3>,
+    /// Per pixel, of each AOV of lights.
+    lights: Vec<Rgb>,
 }
 
 impl Tile {
@@ -162,6 +167,7 @@ impl Tile {
             walks: vec![WalkSums::NONE; on(planes.walks)],
             objects: vec![ObjectSums::NONE; on(planes.objects)],
             primvars: vec![Vec3::ZERO; n * planes.primvars],
+            lights: vec![Rgb::ZERO; n * planes.lights],
         }
     }
 
@@ -209,6 +215,17 @@ impl Tile {
         self.primvars[first..].iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
     }
 
+    /// AOVs of lights.
+    pub fn light_aovs(&self) -> usize {
+        self.lights.len() / self.samples.len()
+    }
+
+    /// Adds what a sample of pixel `i` shows of each AOV of lights.
+    pub fn add_lights(&mut self, i: usize, sums: &[Rgb]) {
+        let of_pixel = self.lights.iter_mut().skip(i * sums.len());
+        of_pixel.zip(sums).for_each(|(sum, light)| *sum += *light);
+    }
+
     /// Adds the first walk behind the camera ray of a sample of pixel `i`, whose first surface is at `depth`.
     pub fn add_walk(&mut self, i: usize, depth: f32, walk: &FirstWalk) {
         if let Some(walks) = self.walks.get_mut(i) {
@@ -239,7 +256,8 @@ fn check_memory(data_window: DataWindow, planes: Planes) -> Result<()> {
         + on(planes.motion, size_of::<Vec2>())
         + on(planes.walks, size_of::<WalkSums>())
         + on(planes.objects, size_of::<ObjectSums>())
-        + planes.primvars * size_of::<Vec3>();
+        + planes.primvars * size_of::<Vec3>()
+        + planes.lights * size_of::<Rgb>();
     let (width, height) = (data_window.width(), data_window.height());
     let bytes = width as usize * height as usize * per_pixel;
     Vec::<u8>::new().try_reserve_exact(bytes).map_err(|_| {

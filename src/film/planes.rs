@@ -1,7 +1,7 @@
 //! The film's sums as images: one plane per AOV.
 
 use super::{Film, NO_DEPTH, Tile};
-use crate::flat::PRIMVAR_AOV;
+use crate::flat::{LIGHT_AOV, PRIMVAR_AOV};
 use crate::math::Rgb;
 use glam::{DVec3, Vec3};
 use std::borrow::Cow;
@@ -50,6 +50,11 @@ impl Film {
                 // Squares of radiances above 1e19 leave single precision: its largest number, not an infinity.
                 rgb(v.min(DVec3::splat(f64::from(f32::MAX))).as_vec3())
             }));
+        }
+        let of_lights = self.aovs.iter().filter(|aov| aov.starts_with(LIGHT_AOV));
+        for (k, aov) in of_lights.enumerate() {
+            let at = |i: usize| i * self.planes.lights + k;
+            planes.push(self.plane(aov.clone(), 3, |t, i| rgb(mean(t, i, t.lights[at(i)]) * self.exposure)));
         }
         if self.planes.walks {
             planes.extend(self.walk_planes());

@@ -31,7 +31,8 @@ impl Tile {
         to.array(&self.motion)?;
         to.array(&self.walks)?;
         to.array(&self.objects)?;
-        to.array(&self.primvars)
+        to.array(&self.primvars)?;
+        to.array(&self.lights)
     }
 
     fn load(&mut self, from: &mut Loader) -> io::Result<()> {
@@ -45,6 +46,7 @@ impl Tile {
         from.array(&mut self.motion)?;
         from.array(&mut self.walks)?;
         from.array(&mut self.objects)?;
-        from.array(&mut self.primvars)
+        from.array(&mut self.primvars)?;
+        from.array(&mut self.lights)
     }
 }

@@ -1,5 +1,6 @@
 //! UsdLux lights with the specification's names and defaults.
 
+use super::array::Array;
 use super::mesh::{IDENTITY, Matrix4d};
 use super::motion::TransformKeys;
 use serde::{Deserialize, Serialize};
@@ -33,11 +34,27 @@ pub struct Shaping {
     /// Half angle, degrees.
     pub cone_angle: f32,
     pub cone_softness: f32,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ies: Option<Ies>,
+}
+
+/// An IES profile, all around.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+pub struct Ies {
+    /// Degrees from the light's -Z, ascending.
+    pub vertical: Array<f32>,
+    /// Degrees from +X towards +Y, ascending from 0 to 360; a single one: the same all around.
+    pub horizontal: Array<f32>,
+    /// One per vertical angle, for each horizontal angle.
+    pub candela: Array<f32>,
+    pub angle_scale: f32,
+    pub normalize: bool,
 }
 
 impl Default for Shaping {
     fn default() -> Self {
-        Self { focus: 0.0, focus_tint: [0.0; 3], cone_angle: 90.0, cone_softness: 0.0 }
+        Self { focus: 0.0, focus_tint: [0.0; 3], cone_angle: 90.0, cone_softness: 0.0, ies: None }
     }
 }
 
@@ -90,6 +107,9 @@ pub struct Light {
     /// Of `transform`; `None`: it stays.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub transform_keys: Option<TransformKeys>,
+    /// Light group, for AOVs; empty: none.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    pub group: String,
 }
 
 impl Default for Light {
@@ -111,6 +131,7 @@ impl Default for Light {
             shadow_link: String::new(),
             shadow: None,
             transform_keys: None,
+            group: String::new(),
         }
     }
 }

@@ -15,7 +15,7 @@ pub mod validate;
 
 pub use array::Array;
 pub use camera::{Camera, Projection};
-pub use light::{Light, LightShape, Shadow, Shaping};
+pub use light::{Ies, Light, LightShape, Shadow, Shaping};
 pub use material::{ChiangHair, Material, OpenPbrSurface, PreviewSurface, StandardSurface};
 pub use mesh::{
     AnyPrimvar, GeomSubset, IDENTITY, Image, Instancer, Interpolation, Matrix4d, Mesh, Orientation, Prims, Primvar,
@@ -23,7 +23,7 @@ pub use mesh::{
 };
 pub use motion::{PointKeys, TransformKeys};
 pub use network::{ImageNode, Network, Node, Op, Tile, Wrap};
-pub use settings::{AOVS, EXTRA_AOVS, GUIDE_AOVS, MAX_NORMALS, PRIMVAR_AOV, RenderSettings, WALKS};
+pub use settings::{AOVS, EXTRA_AOVS, GUIDE_AOVS, LIGHT_AOV, MAX_NORMALS, PRIMVAR_AOV, RenderSettings, WALKS};
 
 use serde::{Deserialize, Serialize};
 

@@ -11,6 +11,9 @@ pub const AOVS: [&str; 10] =
 pub const EXTRA_AOVS: [&str; 7] =
     ["distance", "deviceDepth", "Peye", "Neye", "motionVector", "sampleCount", "cryptoObject"];
 
+/// AOVs of lights are named this, and a light group, or a light: written only where asked for.
+pub const LIGHT_AOV: &str = "light_";
+
 /// AOVs for looking at the guide, of the first walk behind a camera ray: written only where asked for.
 pub const GUIDE_AOVS: [&str; 6] =
     ["slabNormal", "entryAgreement", "walkLength", "region", "cacheIrradiance", "techniqueShares"];

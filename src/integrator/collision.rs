@@ -16,6 +16,13 @@ use crate::subsurface::steps::Enclosure;
 use crate::subsurface::walk::Collision;
 use glam::{Vec2, Vec3};
 
+/// Where a path's light goes.
+pub(super) struct Into<'a> {
+    pub sample: &'a mut Sample,
+    /// Sums of AOVs of lights.
+    pub groups: &'a mut [Rgb],
+}
+
 /// Light sampled at the collisions of a walk.
 #[derive(Clone, Copy)]
 pub(super) struct CollisionLight<'a> {
@@ -35,17 +42,17 @@ pub(super) struct CollisionLight<'a> {
 }
 
 impl CollisionLight<'_> {
-    /// Adds to `sample` what a collision sees of a light. Returns the shadow rays that took.
+    /// Adds what a collision sees of a light. Returns the shadow rays that took.
     pub fn add(
         &self,
         collision: &Collision,
         enclosure: &InstanceEnclosure,
         sampler: &mut Sampler,
-        sample: &mut Sample,
+        into: &mut Into,
     ) -> u64 {
         match &self.bent {
-            None => self.add_straight(collision, enclosure, sampler, sample),
-            Some(bent) => self.add_bent(bent, collision, enclosure, sampler, sample),
+            None => self.add_straight(collision, enclosure, sampler, into),
+            Some(bent) => self.add_bent(bent, collision, enclosure, sampler, into),
         }
     }
 
@@ -55,7 +62,7 @@ impl CollisionLight<'_> {
         collision: &Collision,
         enclosure: &InstanceEnclosure,
         sampler: &mut Sampler,
-        sample: &mut Sample,
+        into: &mut Into,
     ) -> u64 {
         let u = Vec2::new(sampler.random(), sampler.random());
         let p = enclosure.to_render(collision.p);
@@ -74,7 +81,7 @@ impl CollisionLight<'_> {
         let within = hit.is_none() && light.distance.is_finite() && !self.scene.lights.is_mesh(light.light);
         let ours = light.delta || within || self.wades && self.scene.lights.shadow(light.light).is_some();
         let weight = if ours { 1.0 } else { power_heuristic(light.pdf, pdf) };
-        self.give(sample, collision.weight * visible * light.radiance * (phase * weight / light.pdf));
+        self.give(into, light.light, collision.weight * visible * light.radiance * (phase * weight / light.pdf));
         1
     }
 
@@ -85,7 +92,7 @@ impl CollisionLight<'_> {
         collision: &Collision,
         enclosure: &InstanceEnclosure,
         sampler: &mut Sampler,
-        sample: &mut Sample,
+        into: &mut Into,
     ) -> u64 {
         if sampler.random() >= TRIED {
             return 0;
@@ -104,7 +111,7 @@ impl CollisionLight<'_> {
                 let o = bent.window.interaction(&at).origin(at.v);
                 let origin = Some((self.instance, at.hit.triangle));
                 let visible = visibility(self.scene, emitter.light, o, at.v, at.reach(), origin, &self.around);
-                self.give(sample, value * visible);
+                self.give(into, emitter.light, value * visible);
             }
         }
         shadow_rays
@@ -114,8 +121,12 @@ impl CollisionLight<'_> {
         self.scene.illuminates(light, self.instance)
     }
 
-    fn give(&self, sample: &mut Sample, light: Rgb) {
-        add_to(sample, self.bucket, self.scale * light);
+    fn give(&self, into: &mut Into, source: u32, light: Rgb) {
+        let light = self.scale * light;
+        add_to(into.sample, self.bucket, light);
+        if !into.groups.is_empty() {
+            self.scene.lights.sort(into.groups, source, light);
+        }
     }
 }
 

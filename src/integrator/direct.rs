@@ -7,7 +7,7 @@ use crate::bsdf::{Bsdf, Side};
 use crate::guiding::LightsAt;
 use crate::guiding::exit::Exit;
 use crate::interaction::Interaction;
-use crate::light::{Choice, Emitter, LightSample, ShapeHit};
+use crate::light::{Choice, Emitter, GLOW, LightSample, ShapeHit};
 use crate::math::Rgb;
 use crate::sampling::power_heuristic;
 use crate::sampling::sampler::Sampler;
@@ -36,7 +36,7 @@ impl Path<'_> {
                 return;
             }
             let weight = self.weight_of_hit(light, o, d, hit);
-            self.see_light(weight * inside.transmittance(hit.t) * radiance);
+            self.see_light(light, weight * inside.transmittance(hit.t) * radiance);
         });
     }
 
@@ -49,17 +49,23 @@ impl Path<'_> {
                 continue;
             }
             let weight = self.weight_of_escaped(light, d);
-            self.see_light(weight * self.inside.transmittance(f32::INFINITY) * radiance);
+            self.see_light(light, weight * self.inside.transmittance(f32::INFINITY) * radiance);
         }
     }
 
     /// Emission of the surface material, and of the light that the mesh is.
     pub(super) fn meet_surface_emission(&mut self, si: &Interaction, coating: &Coating) {
         let scene = self.scene;
-        if matches!(si.side, Side::Outside) {
-            self.add(coating.surface.emission());
+        let glow = if matches!(si.side, Side::Outside) { coating.surface.emission() } else { Rgb::ZERO };
+        let Some((light, first)) = scene.instances[si.instance as usize].light else {
+            self.add(GLOW, glow);
+            return;
+        };
+        if glow != Rgb::ZERO && matches!(self.previous, Previous::Camera | Previous::Delta) {
+            // Who looks at a mesh light sees its material glow (light:materialSyncMode); the light is for the others.
+            self.add(GLOW, glow);
+            return;
         }
-        let Some((light, first)) = scene.instances[si.instance as usize].light else { return };
         if !si.front || self.asked(light) {
             return;
         }
@@ -71,7 +77,7 @@ impl Path<'_> {
             Previous::Camera => Rgb::ONE,
             _ => self.weight_of_hit(light, o, d, &hit),
         };
-        self.add(weight * radiance);
+        self.add(light, weight * radiance);
     }
 
     /// MIS weight of an area light met at `hit` along (o, d).
@@ -120,7 +126,7 @@ impl Path<'_> {
         }
     }
 
-    pub(super) fn see_light(&mut self, light: Rgb) {
+    pub(super) fn see_light(&mut self, source: u32, light: Rgb) {
         if light == Rgb::ZERO {
             return;
         }
@@ -128,7 +134,7 @@ impl Path<'_> {
             self.sample.alpha += self.seen;
             self.seen = 0.0;
         }
-        self.add(light);
+        self.add(source, light);
     }
 
     /// Light sampled at a surface, weighted against the sampling of the same direction by the BSDF, or by a mixture
@@ -203,7 +209,7 @@ impl Path<'_> {
         let visible = visibility(self.scene, light.light, o, light.wi, reach, origin, inside);
         let pdf = || guide.map_or(bsdf.pdf(wi), |guide| guide.pdf(bsdf.pdf(wi), light.wi));
         let weight = if light.delta { 1.0 } else { power_heuristic(light.pdf, pdf()) };
-        self.add(f * visible * light.radiance * (weight / light.pdf));
+        self.add(light.light, f * visible * light.radiance * (weight / light.pdf));
     }
 }
 

@@ -86,6 +86,7 @@ impl Path<'_> {
         }
         for walk in log.walks.drain(..) {
             add_to(&mut self.sample, walk.bucket, -walk.throughput * walk.correction);
+            self.scene.lights.share_out(self.groups, -walk.throughput * walk.correction);
             if !after.is_finite() {
                 continue;
             }

@@ -1,11 +1,10 @@
 //! Passing an object's inside: sub-walks from boundary to boundary until the light gets out.
 
-use super::collision::{Bent, CollisionLight, Refracted};
+use super::collision::{Bent, CollisionLight, Into, Refracted};
 use super::nest::Nest;
 use super::watch::drawn;
 use super::{Bucket, Path, Previous};
 use crate::bsdf::{Boundary, Bsdf, Event, Side, Surface};
-use crate::film::Sample;
 use crate::guiding::exit::Exit;
 use crate::guiding::look::shares_by_kind;
 use crate::guiding::plan::{Plan, Walk};
@@ -192,8 +191,14 @@ impl<'a> Path<'a> {
         let logs = self.log.is_some() && guide.region.is_some();
         let throughput = scale * start.weight;
         let (before, segments) = (self.sample, self.stats.walk.steps);
-        let mut visitor: Collisions<'_, LIT> =
-            Collisions { passage, light, cp: kind == Walk::Cp, late: None, sample: &mut self.sample, shadow_rays: 0 };
+        let mut visitor: Collisions<'_, LIT> = Collisions {
+            passage,
+            light,
+            cp: kind == Walk::Cp,
+            late: None,
+            into: Into { sample: &mut self.sample, groups: &mut *self.groups },
+            shadow_rays: 0,
+        };
         let stats = &mut self.stats.walk;
         let techniques = guide.techniques;
         let end = walk_mixture(&passage.enclosure, passage.medium, techniques, start, u, sampler, stats, &mut visitor);
@@ -259,10 +264,11 @@ impl<'a> Path<'a> {
             };
             followed
         };
-        let (sample, shadow_rays) = (&mut self.sample, &mut self.stats.shadow_rays);
+        let mut into = Into { sample: &mut self.sample, groups: &mut *self.groups };
+        let shadow_rays = &mut self.stats.shadow_rays;
         let collide = |collision: &Collision, sampler: &mut Sampler| {
             if let Some(light) = &light {
-                *shadow_rays += light.add(collision, enclosure, sampler, sample);
+                *shadow_rays += light.add(collision, enclosure, sampler, &mut into);
             }
         };
         let medium = &passage.medium.medium;
@@ -347,7 +353,7 @@ struct Collisions<'a, const LIT: bool> {
     cp: bool,
     /// The closest point's normal, once known.
     late: Option<Vec3>,
-    sample: &'a mut Sample,
+    into: Into<'a>,
     shadow_rays: u64,
 }
 
@@ -363,6 +369,6 @@ impl<const LIT: bool> Visitor for Collisions<'_, LIT> {
 
     fn collide(&mut self, collision: &Collision, sampler: &mut Sampler) {
         let Some(light) = &self.light else { return };
-        self.shadow_rays += light.add(collision, &self.passage.enclosure, sampler, self.sample);
+        self.shadow_rays += light.add(collision, &self.passage.enclosure, sampler, &mut self.into);
     }
 }

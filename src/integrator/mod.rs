@@ -145,10 +145,12 @@ struct Path<'a> {
     drawn: bool,
     /// Barycentrics of `o` on it.
     at: Vec2,
+    /// Sums of AOVs of lights; empty where none is asked for.
+    groups: &'a mut [Rgb],
 }
 
 /// Radiance along a camera ray. Estimates may be negative where control variates are on; `log` takes what the walks
-/// have to teach.
+/// have to teach, `groups` what each AOV of lights shows of the sample (empty: none is wanted).
 pub fn trace(
     scene: Moment,
     guide: &Guide,
@@ -157,11 +159,14 @@ pub fn trace(
     sampler: &mut Sampler,
     stats: &mut PathStats,
     log: &mut WalkLog,
+    groups: &mut [Rgb],
 ) -> Sample {
+    groups.fill(Rgb::ZERO);
     let (width, spread) = scene.camera.footprint();
     let cone = Cone { width, spread };
     let mut path = Path { o: ray.o, d: ray.d, t_max: ray.t_max, cone, ..Path::new(scene, guide, settings, stats) };
     path.log = Some(log);
+    path.groups = groups;
     if !scene.camera_within.is_empty() {
         path.inside = Nest::of(&scene, &scene.camera_within);
         // Radiance over the square of the index is what comes out of a medium: a sensor is not wet, its housing is.
@@ -172,6 +177,7 @@ pub fn trace(
     let sample = path.sample;
     if !sample.color().is_finite() {
         path.stats.non_finite += 1;
+        path.groups.fill(Rgb::ZERO);
         return Sample { direct: Rgb::ZERO, indirect: Rgb::ZERO, subsurface: Rgb::ZERO, ..sample };
     }
     sample
@@ -202,6 +208,7 @@ impl<'a> Path<'a> {
             receiver: NOBODY,
             drawn: false,
             at: Vec2::ZERO,
+            groups: &mut [],
         }
     }
 }
@@ -408,8 +415,13 @@ impl Path<'_> {
         self.sample.surface = Some(surface);
     }
 
-    fn add(&mut self, light: Rgb) {
-        add_to(&mut self.sample, self.bucket, self.throughput * light);
+    /// Adds light of `source`, a light or GLOW.
+    fn add(&mut self, source: u32, light: Rgb) {
+        let light = self.throughput * light;
+        add_to(&mut self.sample, self.bucket, light);
+        if !self.groups.is_empty() {
+            self.scene.lights.sort(self.groups, source, light);
+        }
     }
 }
 

@@ -197,6 +197,6 @@ impl Path<'_> {
         }
         self.stats.shadow_rays += 1;
         let visible = visibility(self.scene, light, self.o, self.d, reach, self.origin, &self.inside);
-        self.add(seen * visible);
+        self.add(light, seen * visible);
     }
 }

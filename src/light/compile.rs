@@ -116,7 +116,8 @@ impl Compiler<'_> {
                 if !(angle.is_finite() && *angle >= 0.0) {
                     return Err(format!("inputs:angle is {angle}, not a positive number or zero"));
                 }
-                let emission = Emission::new(prim, axis, distant::size_factor(*angle))?;
+                let emission =
+                    Emission::new(prim, axis, distant::size_factor(*angle))?.profiled(prim, placement.inverse);
                 Ok(Light::Distant(Distant::new(emission, *angle)))
             }
             LightShape::Dome { texture, pole_axis } => {
@@ -138,7 +139,11 @@ impl Compiler<'_> {
                 if !(SMALLEST_AREA..LARGEST_AREA).contains(&area) {
                     return Err(format!("its size and xformOps give an area of {area:e} square stage units"));
                 }
-                Ok(Light::Area(AreaLight::new(shape, Emission::new(prim, axis, area)?, texels)))
+                Ok(Light::Area(AreaLight::new(
+                    shape,
+                    Emission::new(prim, axis, area)?.profiled(prim, placement.inverse),
+                    texels,
+                )))
             }
         }
     }

@@ -4,10 +4,11 @@
 
 use super::{
     choice::Spread,
+    ies::Profile,
     shaping::{Shaping, angle_between},
 };
 use crate::{flat, math::Rgb};
-use glam::Vec3;
+use glam::{Mat3, Vec3};
 
 /// Radiance above which products with pdfs leave the range of f32. As f32 has it, so that 1e30 itself may be authored.
 pub const RADIANCE_LIMIT: f64 = 1e30_f32 as f64;
@@ -20,6 +21,7 @@ pub struct Emission {
     /// The light's -Z axis, render space, unit.
     pub axis: Vec3,
     shaping: Option<Shaping>,
+    profile: Option<Box<Profile>>,
 }
 
 impl Emission {
@@ -38,11 +40,17 @@ impl Emission {
             return Err("inputs:intensity, inputs:exposure and inputs:normalize give a radiance beyond 1e30".into());
         }
         let radiance = Vec3::from(radiance.map(|c| c as f32));
-        Ok(Self { radiance, axis, shaping: light.shaping.as_ref().map(Shaping::new) })
+        Ok(Self { radiance, axis, shaping: light.shaping.as_ref().map(Shaping::new), profile: None })
     }
 
     pub fn without_shaping(self) -> Self {
-        Self { shaping: None, ..self }
+        Self { shaping: None, profile: None, ..self }
+    }
+
+    /// With the IES profile of `light`, if it has one; `to_light`: from render space to its own.
+    pub fn profiled(self, light: &flat::Light, to_light: Mat3) -> Self {
+        let ies = light.shaping.as_ref().and_then(|shaping| shaping.ies.as_ref());
+        Self { profile: ies.map(|ies| Box::new(Profile::new(ies, to_light))), ..self }
     }
 
     pub fn scaled(self, factor: f32) -> Self {
@@ -51,10 +59,9 @@ impl Emission {
 
     /// Radiance along the unit direction `wo` that leaves the light.
     pub fn towards(&self, wo: Vec3) -> Rgb {
-        match &self.shaping {
-            None => self.radiance,
-            Some(shaping) => self.radiance * shaping.factor(angle_between(self.axis, wo)),
-        }
+        let Some(shaping) = &self.shaping else { return self.radiance };
+        let shaped = self.radiance * shaping.factor(angle_between(self.axis, wo));
+        self.profile.as_ref().map_or(shaped, |profile| shaped * profile.factor(wo))
     }
 
     /// Angle off the axis beyond which nothing is emitted, radians; `None`: there is no cone.
@@ -68,7 +75,8 @@ impl Emission {
         let Some(shaping) = &self.shaping else { return magnitude(self.radiance) };
         let (theta, spread) = (angle_between(self.axis, wo), spread.angle());
         let hi = (theta + spread).min(std::f32::consts::PI);
-        magnitude(self.radiance * shaping.bound((theta - spread).max(0.0), hi))
+        let largest = self.profile.as_ref().map_or(1.0, |profile| profile.largest());
+        magnitude(self.radiance * shaping.bound((theta - spread).max(0.0), hi)) * largest
     }
 }
 

@@ -18,6 +18,8 @@ mod dome;
 mod ellipsoid;
 mod emission;
 mod emitter;
+mod groups;
+mod ies;
 mod lanes;
 mod latlong;
 mod linking;
@@ -40,6 +42,7 @@ pub use compile::MeshTriangles;
 pub use distant::Distant;
 pub use dome::Dome;
 pub use emitter::{Emitter, Place};
+pub use groups::GLOW;
 pub use linking::{Categories, Members};
 pub use motion::LightsAt;
 pub use shadow::Shadow;
@@ -121,6 +124,7 @@ pub struct Lights {
     links: Vec<Option<u32>>,
     /// Of each that casts other shadows than those of everything. Empty where none does.
     shadows: Vec<Option<Shadow>>,
+    groups: groups::Groups,
 }
 
 impl Lights {

@@ -73,7 +73,8 @@ mod tests {
     use super::*;
 
     fn shaping(focus: f32, cone_angle: f32, cone_softness: f32) -> Shaping {
-        Shaping::new(&flat::Shaping { focus, focus_tint: [0.0, 0.5, 1.0], cone_angle, cone_softness })
+        let focus_tint = [0.0, 0.5, 1.0];
+        Shaping::new(&flat::Shaping { focus, focus_tint, cone_angle, cone_softness, ies: None })
     }
 
     #[test]

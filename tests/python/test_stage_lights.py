@@ -116,7 +116,6 @@ def test_damaged_values_become_defaults(flat):
     [
         ("RectLight", "    float inputs:diffuse = 0.5", "", "inputs:diffuse"),
         ("RectLight", "    rel light:filters = </F>", "", "light:filters"),
-        ("RectLight", "    asset inputs:shaping:ies:file = @a.ies@", '"ShapingAPI"', "IES"),
         ("DomeLight", "    rel portals = </F>", "", "portals"),
         ("DomeLight", '    token inputs:texture:format = "angular"', "", "plain colour"),
         ("PortalLight", "", "", "PortalLight is not supported"),

@@ -19,3 +19,6 @@ PRIMVAR = "primvars:"
 """Before the name of a primvar of the first surface."""
 
 EXTRA_AOVS = ("distance", "deviceDepth", "Peye", "Neye", "motionVector", "sampleCount", "cryptoObject")
+
+LIGHT_AOV = "light_"
+"""What AOVs of a light group, or of one light, are named, before its name; only where asked for."""

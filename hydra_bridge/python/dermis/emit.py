@@ -17,6 +17,7 @@ from .points import flatten_points
 from .reading import Reader
 from .shaders import HAIR
 from .skel import Skins
+from .sync_mode import respond, sync_mode
 from .walk import Found, Frame, canonical_path
 
 Prim = dict[str, Any]
@@ -43,6 +44,8 @@ class Emitter:
         self.bindables: list[tuple[Usd.Prim, Prim]] = []
         # Meshes whose primvars wait for their materials to say which they read.
         self.meshes: list[tuple[Found, Prim]] = []
+        # Mesh lights whose sync mode waits for their materials: mode, mesh, light.
+        self.synced: list[tuple[Found, str, Prim, Prim]] = []
 
     def emit(self, placements: dict[Frame, Placements]) -> dict[str, Prim]:
         """Flat prims by key, from the frames and their world placements."""
@@ -50,6 +53,8 @@ class Emitter:
             if len(of_frame):
                 self.frame(frame, of_frame)
         self.bind()
+        for found, mode, mesh, light in self.synced:
+            respond(found.prim, mode, mesh, [light], self.prims, self.reader)
         for found, mesh in self.meshes:
             self.guarded(found, lambda found=found, mesh=mesh: self.read_primvars(found, mesh))
         return {**self.prims, **self.textures, **self.images}
@@ -149,9 +154,13 @@ class Emitter:
         for key, copy, matrix in zip(keys, copies, local_to_world(found, matrices), strict=True):
             copy["transform"] = self.reader.matrix(found.prim, matrix.tolist())
             self.prims[key] = copy
-        self.lights(found, light, matrices, keys)
+        placed = self.lights(found, light, matrices, keys)
+        mode = sync_mode(found.prim, self.reader)
+        self.synced.extend(
+            (found, mode, self.prims[key], light) for key, light in zip(keys, placed, strict=True)
+        )
 
-    def lights(self, found: Found, light: Prim, matrices: Matrices, meshes: list[str]) -> None:
+    def lights(self, found: Found, light: Prim, matrices: Matrices, meshes: list[str]) -> list[Prim]:
         links = {
             "lightLink": self.links.name(found.prim, "lightLink"),
             "shadowLink": self.links.name(found.prim, "shadowLink"),
@@ -167,6 +176,7 @@ class Emitter:
                 "visible": found.context.visible,
                 "shape": shape,
             }
+        return [self.prims[key] for key in keys]
 
     def bind(self) -> None:
         """Material bindings of all meshes and subsets, and the materials they name."""

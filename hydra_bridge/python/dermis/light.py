@@ -4,6 +4,7 @@ from typing import Any
 
 from pxr import Usd, UsdGeom, UsdLux
 
+from .ies import flatten_profile
 from .reading import Reader
 from .texture import flatten_texture
 
@@ -37,6 +38,7 @@ def flatten_light(
         "shaping": shaping(prim, reader),
         "shadow": shadow(prim, reader),
         "shape": shape(prim, kind, reader, textures),
+        **group(prim, reader),
     }
     warn_ignored(prim, reader)
     return light
@@ -62,17 +64,32 @@ def shaping(prim: Usd.Prim, reader: Reader) -> Fields | None:
     )
     if not prim.HasAPI(UsdLux.ShapingAPI) and not authored:
         return None
-    ies = reader.asset(prim, "inputs:shaping:ies:file")
-    if ies:
-        reader.warn(
-            prim, f"inputs:shaping:ies:file: {ies.path}: IES profiles are not supported yet; it is ignored"
-        )
-    return {
+    fields = {
         "focus": reader.value(prim, "inputs:shaping:focus", 0.0),
         "focusTint": list(reader.color(prim, "inputs:shaping:focusTint", (0.0, 0.0, 0.0))),
         "coneAngle": reader.value(prim, "inputs:shaping:cone:angle", 90.0),
         "coneSoftness": reader.value(prim, "inputs:shaping:cone:softness", 0.0),
     }
+    profile = flatten_profile(prim, reader)
+    return {**fields, "ies": profile} if profile else fields
+
+
+GROUP_NAMES = (
+    "dermis:lightGroup",
+    "inputs:ri:light:lightGroup",
+    "ri:light:lightGroup",
+    "karma:light:lpetag",
+    "primvars:arnold:aov",
+)
+"""Where dermis and others have the name of a light's group; the first that is authored counts."""
+
+
+def group(prim: Usd.Prim, reader: Reader) -> Fields:
+    """The light group, if the light is in one."""
+    for name in GROUP_NAMES:
+        if label := reader.value(prim, name, ""):
+            return {"group": label}
+    return {}
 
 
 def shadow(prim: Usd.Prim, reader: Reader) -> Fields | None:
@@ -154,21 +171,12 @@ def warn_ignored(prim: Usd.Prim, reader: Reader) -> None:
     """One warning with everything of this light that is not rendered."""
     ignored = [name for name in ("inputs:diffuse", "inputs:specular") if reader.value(prim, name, 1.0) != 1.0]
     ignored += [rel for rel in ("light:filters", "portals") if targets(prim, rel)]
-    sync = prim.GetAttribute("light:materialSyncMode")
-    if sync and sync.HasAuthoredValue() and reader.raw(prim, "light:materialSyncMode") != fallback(sync):
-        ignored.append("light:materialSyncMode")
     if ignored:
         reader.warn(prim, f"{', '.join(ignored)}: not supported yet; ignored")
 
 
 def is_shadow(attribute: Usd.Attribute) -> bool:
     return attribute.GetName().startswith("inputs:shadow:") and attribute.HasAuthoredValue()
-
-
-def fallback(attribute: Usd.Attribute) -> Any:
-    """The schema's value of an attribute; None where no applied schema defines it."""
-    definition = attribute.GetPrim().GetPrimDefinition()
-    return definition.GetAttributeFallbackValue(attribute.GetName())
 
 
 def targets(prim: Usd.Prim, name: str) -> bool:

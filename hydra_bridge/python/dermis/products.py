@@ -6,7 +6,7 @@ from typing import Any
 
 from pxr import Usd, UsdRender
 
-from .aovs import AOVS, EXTRA_AOVS, GUIDE_AOVS, PRIMVAR
+from .aovs import AOVS, EXTRA_AOVS, GUIDE_AOVS, LIGHT_AOV, PRIMVAR
 from .reading import Reader
 
 BEAUTY = "color"
@@ -43,6 +43,9 @@ NOT_KEPT = {
     "elementId": "faces are not told apart",
 }
 """Sources that other renderers have, and why they are missing here."""
+
+OF_LIGHT = re.compile(r"^C\.\*(?:\[?O\]?)?<L\.?'([^']+)'>$")
+"""Light of one group, or of one light, on any path."""
 
 HALF = re.compile(r"^half|[34]h$")
 
@@ -125,6 +128,8 @@ def source_aov(var: Usd.Prim, reader: Reader) -> str | None:
     if kind not in ("raw", "intrinsic"):
         reader.warn(var, f"sourceType: '{kind}' is not known; it is taken as 'raw'")
     name = RAW_SOURCES.get(source) or RAW_SOURCES.get(var.GetName())
+    if source.startswith(LIGHT_AOV) and source != LIGHT_AOV:
+        return source
     if name is None:
         # Written as a raw source by many exporters.
         name = next((aov for aov, texts in LPES.items() if source in texts), None)
@@ -139,6 +144,8 @@ def lpe_aov(var: Usd.Prim, text: str, reader: Reader) -> str | None:
     for aov, texts in LPES.items():
         if plain in texts:
             return aov
+    if label := OF_LIGHT.match(plain):
+        return LIGHT_AOV + label[1]
     # The name of the var says what it is for, where the expression has labels of another renderer.
     if var.GetName() in LPES or var.GetName() == "indirect":
         reader.warn(

@@ -4,7 +4,7 @@ use super::motion::check_keys;
 use super::report::{ANY, LARGEST, NOT_NEGATIVE, Report, UNIT, placement_fault};
 use crate::{
     error::Warning,
-    flat::{Camera, IDENTITY, Light, LightShape, Shadow, Shaping, Texture},
+    flat::{Camera, IDENTITY, Ies, Light, LightShape, Shadow, Shaping, Texture},
 };
 
 /// UsdLux gives light to a negative intensity, too; a path tracer has none to take away, so it counts as 0.
@@ -40,6 +40,25 @@ fn check_shaping(shaping: &mut Shaping, report: &mut Report) {
     report.clamp("inputs:shaping:focusTint", &mut shaping.focus_tint, NOT_NEGATIVE, default.focus_tint);
     report.clamp("inputs:shaping:cone:angle", &mut shaping.cone_angle, 0.0..=180.0, default.cone_angle);
     report.clamp("inputs:shaping:cone:softness", &mut shaping.cone_softness, UNIT, default.cone_softness);
+    if let Some(ies) = &mut shaping.ies {
+        report.clamp("inputs:shaping:ies:angleScale", &mut ies.angle_scale, ANY, 0.0);
+        if !is_profile(ies) {
+            report.warn("inputs:shaping:ies:file: its angles or candela are damaged, the light shines without it");
+            shaping.ies = None;
+        }
+    }
+}
+
+fn is_profile(ies: &Ies) -> bool {
+    let ascends = |angles: &[f32], top: f32| {
+        angles.first().is_some_and(|&first| first >= 0.0)
+            && angles.windows(2).all(|pair| pair[0] < pair[1])
+            && angles.last().is_some_and(|&last| last <= top)
+    };
+    ascends(&ies.vertical, 180.0)
+        && ascends(&ies.horizontal, 360.0)
+        && ies.candela.len() == ies.vertical.len() * ies.horizontal.len()
+        && ies.candela.iter().all(|c| (0.0..=LARGEST).contains(c))
 }
 
 fn check_shadow(shadow: &mut Shadow, report: &mut Report) {

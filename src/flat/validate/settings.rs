@@ -2,7 +2,7 @@
 
 use crate::{
     error::{Error, Result},
-    flat::{AOVS, EXTRA_AOVS, GUIDE_AOVS, MAX_NORMALS, PRIMVAR_AOV, RenderSettings, WALKS},
+    flat::{AOVS, EXTRA_AOVS, GUIDE_AOVS, LIGHT_AOV, MAX_NORMALS, PRIMVAR_AOV, RenderSettings, WALKS},
     subdivision::MAX_LEVEL,
 };
 
@@ -97,7 +97,10 @@ impl RenderSettings {
         check_token("cacheFill", &self.cache_fill, &["surface", "camera"])?;
         check_token("subsurfaceBoundary", &self.subsurface_boundary, &BOUNDARIES)?;
         let known = [&AOVS[..], &EXTRA_AOVS[..], &GUIDE_AOVS[..]].concat();
-        let named = |aov: &str| aov.strip_prefix(PRIMVAR_AOV).is_some_and(|name| !name.is_empty());
+        let named = |aov: &str| {
+            let prefixed = |prefix| aov.strip_prefix(prefix).is_some_and(|name: &str| !name.is_empty());
+            prefixed(PRIMVAR_AOV) || prefixed(LIGHT_AOV)
+        };
         self.aovs.iter().filter(|aov| !named(aov)).try_for_each(|aov| check_token("aovs", aov, &known))
     }
 }

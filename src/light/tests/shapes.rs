@@ -47,7 +47,7 @@ fn irradiance_is_the_surface_integral() {
 #[test]
 fn shaped_irradiance_is_the_surface_integral() {
     let cone = Shaping { cone_angle: 35.0, cone_softness: 0.6, ..Default::default() };
-    let focus = Shaping { focus: 8.0, focus_tint: [0.2, 0.0, 0.0], cone_angle: 180.0, cone_softness: 0.0 };
+    let focus = Shaping { focus: 8.0, focus_tint: [0.2, 0.0, 0.0], cone_angle: 180.0, ..Shaping::default() };
     for (name, transform) in placements([0.1, -0.1, 2.0]) {
         for shape in area_shapes() {
             for shaping in [&cone, &focus] {

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from .. import color
-from ..aovs import AOVS, EXTRA_AOVS, GUIDE_AOVS, PRIMVAR
+from ..aovs import AOVS, EXTRA_AOVS, GUIDE_AOVS, LIGHT_AOV, PRIMVAR
 from . import progress
 from .settings import COMPLEXITIES
 
@@ -21,12 +21,12 @@ Number = TypeVar("Number", int, float)
 
 
 class AovNames(tuple[str, ...]):
-    """Those that there are, and any primvar."""
+    """Those that there are, and any primvar, light group or light."""
 
     def __contains__(self, name: object) -> bool:
-        return super().__contains__(name) or (
-            isinstance(name, str) and name.startswith(PRIMVAR) and name != PRIMVAR
-        )
+        prefixes = (PRIMVAR, LIGHT_AOV)
+        named = isinstance(name, str) and name not in prefixes and name.startswith(prefixes)
+        return named or super().__contains__(name)
 
 
 def add_stage_arguments(parser: argparse.ArgumentParser) -> None:
@@ -194,8 +194,8 @@ def add_sampling_arguments(parser: argparse.ArgumentParser) -> None:
         choices=AovNames((*AOVS, *EXTRA_AOVS, *GUIDE_AOVS)),
         metavar="NAME",
         help=f"AOV to write (repeatable): {', '.join(AOVS)} (default: the stage's RenderVars, else all of these); only "
-        f"where asked for: {', '.join(EXTRA_AOVS)}; primvars:NAME of any primvar; for looking at "
-        f"guided walks: {', '.join(GUIDE_AOVS)}",
+        f"where asked for: {', '.join(EXTRA_AOVS)}; primvars:NAME of any primvar; {LIGHT_AOV}NAME of a light group or "
+        f"a light; for looking at guided walks: {', '.join(GUIDE_AOVS)}",
     )
     group.add_argument(
         "--set",

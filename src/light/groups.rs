@@ -1,0 +1,76 @@
+//! Light groups: which AOVs of single lights, or of several, a light is part of.
+
+use super::Lights;
+use crate::error::Warning;
+use crate::flat::{self, LIGHT_AOV, Prims};
+use crate::math::Rgb;
+
+/// In place of a light: what materials emit by themselves.
+pub const GLOW: u32 = u32::MAX;
+
+/// Group of lights that are in none, and of what materials emit.
+pub const DEFAULT_GROUP: &str = "default";
+
+/// AOVs of lights that an image can have at once: a bit each.
+const MOST: usize = 64;
+
+/// The AOVs of lights that were asked for, in the order of their sums.
+#[derive(Debug, Clone, Default)]
+pub struct Groups {
+    /// Per light, a bit per AOV.
+    of_light: Vec<u64>,
+    of_glow: u64,
+    /// Of the lights, those that each AOV shows: its part of what is the same for all lights.
+    shares: Vec<f32>,
+}
+
+impl Lights {
+    /// Takes groups from the flat lights. An AOV is named after a group, or a light by its prim's name or path.
+    pub fn group(&mut self, aovs: &[String], lights: &Prims<flat::Light>, warnings: &mut Vec<Warning>) {
+        let labels: Vec<&str> = aovs.iter().filter_map(|aov| aov.strip_prefix(LIGHT_AOV)).collect();
+        if labels.len() > MOST {
+            let message = format!("aovs: {} are of lights; the first {MOST} are rendered", labels.len());
+            warnings.push(Warning::new("render settings", message));
+        }
+        let labels = &labels[..labels.len().min(MOST)];
+        let groups: Vec<&str> = lights.values().map(group_of).collect();
+        let mask = |path: &str| {
+            let shows = |label: &str| match groups.contains(&label) || label == DEFAULT_GROUP {
+                true => group_of(&lights[path]) == label,
+                false => path == label || path.rsplit('/').next() == Some(label),
+            };
+            labels.iter().enumerate().filter(|(_, label)| shows(label)).fold(0, |mask, (i, _)| mask | 1 << i)
+        };
+        let known = lights.keys().fold(0, |known, path| known | mask(path));
+        let of_light: Vec<u64> = self.paths.iter().map(|path| mask(path)).collect();
+        let bit = |i: usize| 1_u64 << i;
+        let share =
+            |i| of_light.iter().filter(|&&mask| mask & bit(i) != 0).count() as f32 / of_light.len().max(1) as f32;
+        let shares = (0..labels.len()).map(share).collect();
+        let default = labels.iter().position(|label| *label == DEFAULT_GROUP).map_or(0, bit);
+        for (_, label) in labels.iter().enumerate().filter(|(i, _)| (known | default) & bit(*i) == 0) {
+            let message =
+                format!("aovs: {LIGHT_AOV}{label} is black: no light is '{label}' or in a group of that name");
+            warnings.push(Warning::new("render settings", message));
+        }
+        self.groups = Groups { of_light, of_glow: default, shares };
+    }
+
+    /// Adds the light of `source`, a light or [`GLOW`], to the sums that show it.
+    pub fn sort(&self, sums: &mut [Rgb], source: u32, light: Rgb) {
+        let mut mask = self.groups.of_light.get(source as usize).copied().unwrap_or(self.groups.of_glow);
+        while mask != 0 {
+            sums[mask.trailing_zeros() as usize] += light;
+            mask &= mask - 1;
+        }
+    }
+
+    /// Adds what belongs to no light, and is zero on average: to each sum its part, so that together they are the image.
+    pub fn share_out(&self, sums: &mut [Rgb], light: Rgb) {
+        sums.iter_mut().zip(&self.groups.shares).for_each(|(sum, share)| *sum += *share * light);
+    }
+}
+
+fn group_of(light: &flat::Light) -> &str {
+    if light.group.is_empty() { DEFAULT_GROUP } else { &light.group }
+}

@@ -1,0 +1,298 @@
+"""AOVs of light groups and of single lights: together they are the image, each is what its lights give."""
+
+import numpy as np
+import pytest
+from command_line import CAMERA, CARD, channels, run, stage_text, write_stage
+from pxr import Sdf, Usd
+
+import dermis
+from dermis.stage import flatten
+
+
+def opened(text: str) -> Usd.Stage:
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    layer.ImportFromString(text)
+    return Usd.Stage.Open(layer)
+
+
+def lamp(name: str, x: float, group: str = "", kind: str = "SphereLight", lines: str = "") -> str:
+    label = f'string dermis:lightGroup = "{group}"' if group else ""
+    return f"""
+    def {kind} "{name}"
+    {{
+        float inputs:intensity = 20
+        float inputs:radius = 0.4
+        {label}
+        {lines}
+        double3 xformOp:translate = ({x}, 2.5, 3)
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+    }}
+"""
+
+
+KEYS = lamp("KeyA", -2.5, "key") + lamp("KeyB", 2.5, "key", lines="color3f inputs:color = (1, 0.5, 0.2)")
+FILL = lamp("Fill", 0, "fill", "DomeLight", "color3f inputs:color = (0.01, 0.02, 0.04)")
+RIM = lamp("Rim", 0.5, lines="color3f inputs:color = (0.1, 1, 0.1)")
+
+GLOW = """
+    def Sphere "Glow" (
+        prepend apiSchemas = ["MaterialBindingAPI"]
+    )
+    {
+        double radius = 0.3
+        rel material:binding = </World/Hot>
+        double3 xformOp:translate = (1.2, -1, 1)
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+    }
+    def Material "Hot"
+    {
+        token outputs:surface.connect = </World/Hot/Surface.outputs:surface>
+        def Shader "Surface"
+        {
+            uniform token info:id = "UsdPreviewSurface"
+            color3f inputs:emissiveColor = (3, 2, 1)
+            token outputs:surface
+        }
+    }
+"""
+
+
+def ball(boundary: str) -> str:
+    return f"""
+    def Sphere "Ball" (
+        prepend apiSchemas = ["MaterialBindingAPI"]
+    )
+    {{
+        double radius = 1
+        rel material:binding = </World/Wax>
+        double3 xformOp:translate = (0, 0, 1.1)
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+    }}
+    def Material "Wax"
+    {{
+        token outputs:surface.connect = </World/Wax/Surface.outputs:surface>
+        def Shader "Surface"
+        {{
+            uniform token info:id = "UsdPreviewSurface"
+            float inputs:subsurface = 1
+            color3f inputs:subsurfaceColor = (0.8, 0.6, 0.5)
+            color3f inputs:subsurfaceRadius = (0.2, 0.1, 0.05)
+            token inputs:subsurfaceBoundary = "{boundary}"
+            float inputs:roughness = 0
+            token outputs:surface
+        }}
+    }}
+"""
+
+
+def rendered(*prims: str, aovs: list[str], samples: int = 32, **settings: object) -> dermis.Image:
+    stage = opened(stage_text(CAMERA, CARD, *prims))
+    settings = {"resolution": (24, 24), "samples": samples, "camera": "/World/main_cam", **settings}
+    return dermis.render(stage, aovs=aovs, **settings)
+
+
+ALL = ["light_key", "light_fill", "light_default"]
+
+
+@pytest.mark.parametrize("boundary", ["diffuse", "dielectric", "indexMatched"])
+def test_groups_are_the_image(boundary):
+    """Control variates and signed estimates included; asking for them changes nothing of the beauty."""
+    prims = (KEYS, FILL, RIM, GLOW, ball(boundary))
+    image = rendered(*prims, aovs=ALL)
+    color = image.color[..., :3].astype(float)
+    total = sum(image[name].astype(float) for name in ALL)
+    assert np.allclose(total, color, rtol=1e-4, atol=1e-5 * color.max())
+    assert np.array_equal(rendered(*prims, aovs=[]).color, image.color)
+    assert all(image[name].max() > 0.0 for name in ALL)
+
+
+def means(image: dermis.Image, name: str) -> tuple[np.ndarray, np.ndarray]:
+    values = image[name][..., :3].astype(float)
+    return values.mean((0, 1)), values
+
+
+@pytest.mark.parametrize("boundary", ["diffuse", "indexMatched"])
+def test_a_group_is_the_image_of_its_lights(boundary):
+    prims = (KEYS, FILL, RIM, GLOW, ball(boundary))
+    image = rendered(*prims, aovs=[*ALL, "light_KeyB", "light_/World/Rim"], samples=512)
+    alone = {
+        "light_key": (KEYS,),
+        "light_fill": (FILL,),
+        "light_default": (RIM, GLOW),
+        "light_KeyB": (KEYS.replace('SphereLight "KeyA"', 'Scope "KeyA"'),),
+        "light_/World/Rim": (RIM,),
+    }
+    for name, lights in alone.items():
+        dark = GLOW.replace("(3, 2, 1)", "(0, 0, 0)") if GLOW not in lights else ""
+        other = rendered(*lights, dark, ball(boundary), aovs=["variance"], samples=512)
+        got, expected = means(image, name)[0], means(other, "color")[0]
+        # The group's own noise is that of the image at most.
+        error = np.sqrt(2.0 * other["variance"].astype(float).sum((0, 1))) / other["variance"][..., 0].size
+        assert (np.abs(got - expected) < 5.0 * error + 0.01 * expected).all(), (name, got, expected, error)
+
+
+def test_labels_of_other_renderers(flat):
+    labels = {
+        "string inputs:ri:light:lightGroup": "a",
+        "string karma:light:lpetag": "b",
+        "string primvars:arnold:aov": "c",
+        "token dermis:lightGroup": "d",
+    }
+    for attribute, label in labels.items():
+        found = flat(f'def SphereLight "L"\n{{\n{attribute} = "{label}"\n}}\n').prims["/L"]
+        assert found["group"] == label
+
+
+def test_a_label_that_no_light_has_is_said():
+    image = rendered(KEYS, aovs=["light_nobody", "light_key"], samples=1)
+    assert image["light_nobody"].max() == 0.0 and image["light_key"].max() > 0.0
+    [message] = [w["message"] for w in image.stats["warnings"] if "light_nobody" in w["message"]]
+    assert "no light is 'nobody'" in message
+
+
+VARS = """
+def Scope "Render"
+{
+    def RenderSettings "Settings"
+    {
+        rel products = </Render/Product>
+        rel camera = </World/main_cam>
+        uniform int2 resolution = (8, 8)
+    }
+    def RenderProduct "Product"
+    {
+        token productName = "image.exr"
+        rel orderedVars = [</Render/Ci>, </Render/keys>, </Render/one>]
+    }
+    def RenderVar "Ci"
+    {
+        string sourceName = "Ci"
+    }
+    def RenderVar "keys"
+    {
+        string sourceName = "C.*<L.'key'>"
+        token sourceType = "lpe"
+    }
+    def RenderVar "one"
+    {
+        string sourceName = "C.*[O]<L.'Rim'>"
+        token sourceType = "lpe"
+    }
+}
+"""
+
+
+def test_render_vars_and_flags_name_lights(tmp_path):
+    metadata = 'renderSettingsPrimPath = "/Render/Settings"'
+    text = stage_text(CAMERA, CARD, KEYS, RIM, metadata=metadata, outside=VARS)
+    stage = write_stage(tmp_path / "s.usda", text)
+    assert run("record", stage, tmp_path / "vars.exr", "--samples", "2", "--disableCameraLight") == 0
+    found = channels(tmp_path / "vars.exr")
+    assert {"R", "keys.R", "one.G"} <= set(found)
+    assert np.allclose(found["keys.R"] + found["one.R"], found["R"], rtol=1e-4)
+    assert found["keys.R"].max() > 0.0 and found["one.G"].max() > 0.0
+    flags = ("--samples", "2", "--aov", "light_key", "--aov", "light_default", "--disableCameraLight")
+    assert run("record", stage, tmp_path / "flags.exr", *flags) == 0
+    typed = channels(tmp_path / "flags.exr")
+    assert np.allclose(typed["light_key.B"] + typed["light_default.B"], typed["B"], rtol=1e-4)
+    assert run("record", stage, tmp_path / "no.exr", "--aov", "light_") == 2
+
+
+def test_checkpoints_keep_groups(tmp_path):
+    """Half of a render, and the other half from its checkpoint."""
+    text = stage_text(CAMERA, CARD, KEYS, RIM)
+    stage = write_stage(tmp_path / "s.usda", text)
+    flags = ("--aov", "light_key", "--imageHeight", "16", "--disableCameraLight", "--samples", "8")
+    assert run("record", stage, tmp_path / "a.exr", *flags) == 0
+    assert run("record", stage, tmp_path / "b.exr", *flags, "--checkpoint", "0.001", "--resume") == 0
+    a, b = channels(tmp_path / "a.exr"), channels(tmp_path / "b.exr")
+    assert all(np.array_equal(a[name], b[name]) for name in a)
+
+
+# light:materialSyncMode
+
+PANEL = """
+    def Mesh "Panel" (
+        prepend apiSchemas = ["{api}", "MaterialBindingAPI"]
+    )
+    {{
+        int[] faceVertexCounts = [4]
+        int[] faceVertexIndices = [0, 1, 2, 3]
+        point3f[] points = [(-1, -1, -1), (1, -1, -1), (1, 1, -1), (-1, 1, -1)]
+        uniform token subdivisionScheme = "none"
+        float inputs:intensity = 2
+        color3f inputs:color = (1, 0.5, 0.25)
+        rel material:binding = </World/Glass>
+        {mode}
+    }}
+    def Material "Glass"
+    {{
+        token outputs:surface.connect = </World/Glass/Surface.outputs:surface>
+        def Shader "Surface"
+        {{
+            uniform token info:id = "UsdPreviewSurface"
+            color3f inputs:emissiveColor = {glow}
+            color3f inputs:diffuseColor = (0.5, 0.5, 0.5)
+            token outputs:surface
+        }}
+    }}
+"""
+#: Faces the panel, out of the camera's sight: behind it.
+CATCHER = """
+    def Mesh "Catcher"
+    {
+        int[] faceVertexCounts = [4]
+        int[] faceVertexIndices = [0, 1, 2, 3]
+        point3f[] points = [(-3, 1.6, -1), (3, 1.6, -1), (3, 1.6, 3), (-3, 1.6, 3)]
+        color3f[] primvars:displayColor = [(0.5, 0.5, 0.5)]
+        uniform token subdivisionScheme = "none"
+    }
+"""
+
+
+def panel(mode: str = "", glow: str = "(0.2, 0.4, 0.8)", api: str = "MeshLightAPI") -> str:
+    line = f'uniform token light:materialSyncMode = "{mode}"' if mode else ""
+    return PANEL.format(mode=line, glow=glow, api=api)
+
+
+def seen_and_lit(text: str, lit_by: str = "") -> tuple[np.ndarray, np.ndarray]:
+    """What the camera sees of the panel, and what the catcher above it shows of its light."""
+    stage = opened(stage_text(CAMERA, CATCHER, text, lit_by))
+    image = dermis.render(
+        stage, resolution=(24, 24), samples=256, camera="/World/main_cam", aovs=[], maxDepth=0
+    ).color[..., :3]
+    return image[10:14, 10:14].mean((0, 1)), image[1:3, 8:16].mean((0, 1))
+
+
+def test_a_glow_tints_the_light_and_is_what_is_seen():
+    seen, lit = seen_and_lit(panel())
+    assert np.allclose(seen, [0.2, 0.4, 0.8], rtol=1e-3)
+    # Light without material is white times its own colour.
+    _, plain = seen_and_lit(panel("noMaterialResponse"))
+    assert np.allclose(lit / plain, [0.2, 0.4, 0.8], rtol=0.01)
+
+
+def test_an_independent_light_has_its_own_colour():
+    seen, lit = seen_and_lit(panel("independent"))
+    _, plain = seen_and_lit(panel("noMaterialResponse"))
+    assert np.allclose(seen, [0.2, 0.4, 0.8], rtol=1e-3) and np.allclose(lit / plain, 1.0, rtol=0.01)
+
+
+def test_a_light_without_material_response_reflects_nothing():
+    lamp_in_front = lamp("Lamp", 0)
+    for text in (panel("noMaterialResponse"), panel(api="LightAPI")):
+        seen, _ = seen_and_lit(text, lamp_in_front)
+        assert np.allclose(seen, [2.0, 1.0, 0.5], rtol=1e-4)
+    reflecting, _ = seen_and_lit(panel("independent", "(0, 0, 0)"), lamp_in_front)
+    assert (reflecting > np.array([2.0, 1.0, 0.5]) * 1.01).all()
+
+
+def test_what_does_not_glow_tints_nothing():
+    seen, lit = seen_and_lit(panel(glow="(0, 0, 0)"))
+    _, plain = seen_and_lit(panel("noMaterialResponse"))
+    assert np.allclose(seen, [2.0, 1.0, 0.5], rtol=1e-3) and np.allclose(lit / plain, 1.0, rtol=0.01)
+
+
+def test_modes_that_are_not_known_are_said():
+    result = flatten(opened(stage_text(panel("sometimes"))))
+    assert any("light:materialSyncMode: 'sometimes'" in message for _, message in result.warnings)
