@@ -117,7 +117,7 @@ def test_damaged_values_become_defaults(flat):
         ("RectLight", "    float inputs:diffuse = 0.5", "", "inputs:diffuse"),
         ("RectLight", "    rel light:filters = </F>", "", "light:filters"),
         ("DomeLight", "    rel portals = </F>", "", "portals"),
-        ("DomeLight", '    token inputs:texture:format = "angular"', "", "plain colour"),
+        ("DomeLight", '    token inputs:texture:format = "folded"', "", "plain colour"),
         ("PortalLight", "", "", "PortalLight is not supported"),
         ("GeometryLight", "", "", "GeometryLight is not supported"),
         ("PluginLight", "", "", "PluginLight is not supported"),

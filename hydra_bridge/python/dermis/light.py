@@ -4,6 +4,7 @@ from typing import Any
 
 from pxr import Usd, UsdGeom, UsdLux
 
+from .dome_layout import LAYOUTS, to_latlong
 from .ies import flatten_profile
 from .reading import Reader
 from .texture import flatten_texture
@@ -149,12 +150,24 @@ def image(prim: Usd.Prim, reader: Reader, textures: dict[str, Fields] | None) ->
 
 def dome_texture(prim: Usd.Prim, reader: Reader, textures: dict[str, Fields] | None) -> str:
     layout = reader.value(prim, "inputs:texture:format", "automatic")
-    if layout not in ("automatic", "latlong"):
-        reader.warn(
-            prim, f"inputs:texture:format: '{layout}' is not supported; the dome emits its plain colour"
-        )
+    if layout not in ("automatic", "latlong", *LAYOUTS):
+        reader.warn(prim, f"inputs:texture:format: '{layout}' is not known; the dome emits its plain colour")
         return ""
-    return image(prim, reader, textures)
+    if textures is None or layout not in LAYOUTS:
+        return image(prim, reader, textures)
+    found: dict[str, Fields] = {}
+    key = image(prim, reader, found)
+    if not key:
+        return key
+    texture = found[key]
+    pixels = to_latlong(texture["pixels"].reshape(texture["height"], texture["width"], 3), layout)
+    textures[f"{key}{layout}"] = {
+        **texture,
+        "width": pixels.shape[1],
+        "height": pixels.shape[0],
+        "pixels": pixels.reshape(-1, 3),
+    }
+    return f"{key}{layout}"
 
 
 def pole(prim: Usd.Prim, kind: str, reader: Reader) -> str:
