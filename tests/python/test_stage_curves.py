@@ -171,3 +171,64 @@ def test_frames_do_not_twist(flat):
 def test_what_cannot_be_used_is_named(flat, changes, message):
     result = flat(curves(**changes))
     assert any(path == "/C" and message in text for path, text in result.warnings)
+
+
+HERMITE = """def HermiteCurves "C"
+{{
+    int[] curveVertexCounts = {counts}
+    point3f[] points = [(0, 0, 0), (1, 1, 0), (2, 0, 1), (5, 0, 0), (5, 3, 0)]
+    vector3f[] tangents = {tangents}
+    float[] widths = [0.1, 0.1, 0.1, 0.1, 0.1] (
+        interpolation = "{interpolation}"
+    )
+    {more}
+}}
+"""
+TANGENTS = np.array([(3, 0, 0), (0, 2, 1), (1, -1, 0), (0, 0, 4), (0, 3, -4)], float)
+
+
+def hermite(counts="[3, 2]", tangents=TANGENTS, interpolation="varying", more=""):
+    text = str([tuple(t) for t in np.asarray(tangents).tolist()])
+    return HERMITE.format(counts=counts, tangents=text, interpolation=interpolation, more=more)
+
+
+def test_hermite_curves_are_their_polynomials(flat):
+    """h00 p0 + h10 m0 + h01 p1 + h11 m1 of each segment, through every point, along every tangent."""
+    result = flat(hermite())
+    assert result.warnings == []
+    found = centres(result.prims["/C"])
+    points = np.array([(0, 0, 0), (1, 1, 0), (2, 0, 1), (5, 0, 0), (5, 3, 0)], float)
+    u = np.linspace(0, 1, 4001)[:, None]
+    for a, b in ((0, 1), (1, 2), (3, 4)):
+        curve = (2 * u**3 - 3 * u**2 + 1) * points[a] + (u**3 - 2 * u**2 + u) * TANGENTS[a]
+        curve += (3 * u**2 - 2 * u**3) * points[b] + (u**3 - u**2) * TANGENTS[b]
+        near = [np.linalg.norm(found - at, axis=1).min() for at in curve[[0, -1]]]
+        assert max(near) < 1e-6
+        mine = found[:, 0] < 4 if a < 3 else found[:, 0] >= 4
+        distance = np.array([np.linalg.norm(curve - at, axis=1).min() for at in found[mine]])
+        # Half of the first curve's samples belong to each of its segments.
+        assert (distance < 1e-3).sum() >= 0.3 * mine.sum()
+    assert len(np.unique(result.prims["/C"]["points"], axis=0)) == 24 * len(found)
+
+
+def test_hermite_primvars_are_lines_from_point_to_point(flat):
+    colors = "[(0, 0, 0), (1, 0, 0), (0, 0, 0), (0, 0, 0), (1, 0, 0)]"
+    more = f'color3f[] primvars:displayColor = {colors} (\n        interpolation = "vertex"\n    )'
+    mesh = flat(hermite(more=more, interpolation="vertex")).prims["/C"]
+    value = mesh["displayColor"]["values"][mesh["displayColor"]["indices"]][::24, 0]
+    second = np.linalg.norm(centres(mesh) - (5, 0, 0), axis=1).argmin()
+    steps = np.diff(value[second:])
+    assert value[second] == 0.0 and value[-1] == 1.0 and np.allclose(steps, steps[0], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"tangents": TANGENTS[:4]}, "tangents: 4 for 5 points; the curves are not rendered"),
+        ({"counts": "[4, 1]"}, "curveVertexCounts: 1 of 2 curves have fewer than 2 points"),
+        ({"counts": "[4]"}, "curveVertexCounts: their sum is 4, there are 5 points"),
+    ],
+)
+def test_hermite_curves_that_cannot_be_are_named(flat, changes, message):
+    result = flat(hermite(**changes))
+    assert any(path == "/C" and message in text for path, text in result.warnings)

@@ -273,17 +273,17 @@ def SphereLight "L"
 def test_prims_not_rendered_yet_are_named_once_per_type(flat):
     body = "".join(
         f'def {kind} "{kind}{i}"\n{{\n}}\n'
-        for kind in ("HermiteCurves", "NurbsPatch", "Volume", "TetMesh")
+        for kind in ("NurbsCurves", "NurbsPatch", "Volume", "TetMesh")
         for i in range(2)
     )
     warnings = flat(body).warnings
     assert sorted(prim for prim, _ in warnings) == [
-        "/HermiteCurves0",
+        "/NurbsCurves0",
         "/NurbsPatch0",
         "/TetMesh0",
         "/Volume0",
     ]
-    assert all("not rendered yet (2 prims" in message for _, message in warnings)
+    assert all("not rendered yet; nor are /" in message for _, message in warnings)
 
 
 CREASED = QUADS.replace(

@@ -1,4 +1,4 @@
-"""BasisCurves as meshes: closed round tubes, or ribbons where normals are authored.
+"""BasisCurves and HermiteCurves as meshes: closed round tubes, or ribbons where normals are authored.
 
 The polygon of a tube has the circumference of its circle, so that areas agree; its radius is within 0.3 % outwards and
 0.6 % inwards at 24 sides, 1.2 % and 2.3 % at 12, 4.7 % and 9.3 % at 6. Cubic segments are cut until chords stay
@@ -100,6 +100,8 @@ def read_spline(prim: Usd.Prim, reader: Reader) -> Spline | None:
     if not np.isfinite(points).all():
         reader.warn(prim, "points: not finite; the curves are not rendered")
         return None
+    if is_hermite(prim):
+        return read_hermite(prim, points, counts, reader)
     basis = token(prim, "basis", ("bezier", "bspline", "catmullRom"), reader)
     basis = basis if token(prim, "type", ("cubic", "linear"), reader) == "cubic" else "linear"
     wrap = token(prim, "wrap", ("nonperiodic", "periodic", "pinned"), reader)
@@ -109,6 +111,25 @@ def read_spline(prim: Usd.Prim, reader: Reader) -> Spline | None:
             f"curveVertexCounts: {bad} of {len(counts)} curves have a number of points that {wrap} {basis} "
         )
         reader.warn(prim, message + "curves cannot have; they are not rendered")
+    return spline if len(spline.curve) else None
+
+
+def is_hermite(prim: Usd.Prim) -> bool:
+    return prim.IsA(UsdGeom.HermiteCurves)
+
+
+def read_hermite(prim: Usd.Prim, points: NDArray, counts: NDArray, reader: Reader) -> Spline | None:
+    """UsdGeomHermiteCurves: open, a tangent for each point."""
+    tangents = reader.array(prim, "tangents", np.float32, 3)
+    number = 0 if tangents is None else len(tangents)
+    if tangents is None or number != len(points) or not np.isfinite(tangents).all():
+        problem = f"{number} for {len(points)} points" if number != len(points) else "not finite"
+        reader.warn(prim, f"tangents: {problem}; the curves are not rendered")
+        return None
+    spline = Spline.hermite(points.astype(np.float64), tangents.astype(np.float64), counts)
+    if bad := int(spline.bad.sum()):
+        message = f"curveVertexCounts: {bad} of {len(counts)} curves have fewer than 2 points; "
+        reader.warn(prim, message + "they are not rendered")
     return spline if len(spline.curve) else None
 
 
@@ -152,6 +173,9 @@ def fitting(
     """The attribute, or None and a warning where its length does not fit the curves."""
     if values is None or not len(values):
         return None
+    if is_hermite(prim) and interpolation == "vertex":
+        # Values have no tangents: the schema suggests lines from point to point.
+        interpolation = "varying"
     expected = spline.expected(interpolation)
     if expected is None:
         problem = f"interpolation '{interpolation}' is unknown"

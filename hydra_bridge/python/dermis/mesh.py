@@ -46,7 +46,8 @@ SUBDIV_ARRAYS = {
     "cornerSharpnesses": np.float32,
 }
 
-MESH_TYPES = ("Mesh", "BasisCurves", *IMPLICIT_TYPES)
+CURVES = ("BasisCurves", "HermiteCurves")
+MESH_TYPES = ("Mesh", *CURVES, *IMPLICIT_TYPES)
 
 Inherited = Mapping[str, UsdGeom.Primvar]
 """Constant primvars of the ancestors by name."""
@@ -57,7 +58,7 @@ def flatten_mesh(
 ) -> dict[str, Any] | None:
     """Fields of `flat::Mesh` except transform, visibility and material; None where there is nothing to
     render."""
-    if kind == "BasisCurves":
+    if kind in CURVES:
         surface = curves(prim, reader, inherited)
         return surface and {**surface, **of_medium(prim, inherited, reader)}
     if kind == "Mesh":
@@ -212,7 +213,7 @@ def flatten_read_primvars(
     """`flat::Mesh::primvars` of those among `names` that the prim has; `names`: to what reads it, if a missing one is
     to be said. `hair`: a material is one, which asks curves for more."""
     api, found = UsdGeom.PrimvarsAPI(prim), {}
-    made = tessellate_curves(prim, reader) if kind == "BasisCurves" else None
+    made = tessellate_curves(prim, reader) if kind in CURVES else None
     for name, user in names.items():
         primvar = api.GetPrimvar(name)
         if not (primvar and primvar.HasAuthoredValue()):
@@ -223,7 +224,7 @@ def flatten_read_primvars(
         elif primvar is None:
             if user:
                 reader.warn(prim, f"primvars:{name}: there is none; {user} reads it and gets its fallback")
-        elif kind not in ("Mesh", "BasisCurves") and primvar.GetInterpolation() != UsdGeom.Tokens.constant:
+        elif kind not in ("Mesh", *CURVES) and primvar.GetInterpolation() != UsdGeom.Tokens.constant:
             reader.warn(prim, f"primvars:{name}: a {kind} takes only constant primvars; it is ignored")
         elif (value := read_by(made, prim, primvar, mesh, reader)) is not None:
             components = 1 if value["values"].ndim == 1 else value["values"].shape[1]

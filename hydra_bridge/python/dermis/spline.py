@@ -1,4 +1,4 @@
-"""BasisCurves as numbers: segments of every basis and wrap, samples along them, frames that do not twist."""
+"""Curves as numbers: segments of every basis and wrap, samples along them, frames that do not twist."""
 
 from dataclasses import dataclass
 
@@ -40,6 +40,17 @@ class Spline:
         following = (self.within + 1) % np.maximum(varying[self.curve], 1)
         self.ends = np.stack([first_varying + self.within, first_varying + following], axis=1)
         self.controls = self.control_points()
+
+    @staticmethod
+    def hermite(points: Floats, tangents: Floats, counts: NDArray[np.int32]) -> "Spline":
+        """The same cubics as Beziers: their inner control points are a third of the tangents away."""
+        counts = counts.astype(np.int64)
+        third = tangents / 3.0
+        controls = np.stack([points - third, points, points + third], axis=1).reshape(-1, 3)
+        last = np.cumsum(counts)[counts > 0] - 1
+        first = last + 1 - counts[counts > 0]
+        controls = np.delete(controls, np.concatenate([3 * first, 3 * last + 2]), axis=0)
+        return Spline(controls, np.maximum(3 * counts - 2, 0), "bezier", "nonperiodic")
 
     def segments(self) -> Ints:
         """Per curve; 0 or less where its number of points does not fit."""

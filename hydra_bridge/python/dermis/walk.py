@@ -20,7 +20,6 @@ from .mesh import INHERITED_PRIMVARS, MESH_TYPES
 from .reading import Reader
 
 UNSUPPORTED_PRIMS = (
-    "HermiteCurves",
     "NurbsCurves",
     "NurbsPatch",
     "ParticleField3DGaussianSplat",
