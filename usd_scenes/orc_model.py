@@ -1,8 +1,8 @@
-"""Models the orc and writes orc_meshes.usdc and orc.usda beside this file.
+"""Models the orc and writes orc_meshes.usdc, orc.usda and textures/orc_*.jpg beside this file.
 
     python usd_scenes/orc_model.py [--coarseness 1.3] [--out DIR]
 
-Needs numpy and usd-core. The meshes are checked before they are written: closed, manifold, outward, no
+Needs numpy, usd-core and OpenImageIO. The meshes are checked before they are written: closed, manifold, outward, no
 degenerate triangles. Takes a few minutes.
 """
 
@@ -11,6 +11,8 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from orc_hair import tufts
+from orc_maps import skin_maps, write_maps
 from orc_mesh import graded_axis, mesh_field, report
 from orc_parts import earring, eyeball, tusk
 from orc_scene import EYE_HEIGHT, around, stage_text, write_meshes
@@ -61,7 +63,9 @@ def main(arguments):
     meshes = model(options.coarseness)
     for name, mesh in meshes.items():
         print(name, check(name, mesh))
-    write_meshes(options.out / "orc_meshes.usdc", meshes)
+    points, triangles, normals = meshes["Skin"][:3]
+    write_meshes(options.out / "orc_meshes.usdc", meshes, tufts(points, normals))
+    write_maps(options.out / "textures", skin_maps(points, normals, triangles))
     eye = EYE_CENTER + vec(0.2, EYE_HEIGHT, EYE_RADIUS)
     (options.out / "orc.usda").write_text(stage_text(CAMERA, TARGET, eye))
 

@@ -1,6 +1,7 @@
 """Writes the orc's meshes (usdc) and its stage (usda): rig, looks, camera and render settings."""
 
 import numpy as np
+from orc_maps import coordinates
 from orc_sdf import unit, vec
 from pxr import Sdf, Usd, UsdGeom, Vt
 
@@ -14,10 +15,12 @@ EYE_BINDINGS = {
     "sclera": "Sclera",
 }
 BINDINGS = {"Skin": "Skin", "TuskLeft": "Ivory", "TuskRight": "Ivory", "Earring": "Gold"}
+TUFT_BINDINGS = {"Lashes": "Hair", "Brows": "Hair"}
 
 
-def write_meshes(path, meshes):
-    """meshes: {name: (points, triangles, normals[, subsets])}, below the default prim /Orc."""
+def write_meshes(path, meshes, tufts):
+    """meshes: {name: (points, triangles, normals[, subsets])}, tufts: {name: (points (n, 4, 3), width)}, below the
+    default prim /Orc. The skin gets texture coordinates."""
     stage = Usd.Stage.CreateNew(str(path))
     stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/Orc").GetPrim())
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
@@ -29,7 +32,34 @@ def write_meshes(path, meshes):
             UsdGeom.Subset.CreateGeomSubset(
                 mesh, region, UsdGeom.Tokens.face, indices, "materialBind", "partition"
             )
+        if name == "Skin":
+            define_coordinates(mesh, *coordinates(points, triangles))
+    for name, (points, width) in tufts.items():
+        define_tuft(stage, f"/Orc/{name}", points, width)
     stage.GetRootLayer().Save()
+
+
+def define_coordinates(mesh, st, indices):
+    primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(
+        "st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.faceVarying
+    )
+    primvar.Set(Vt.Vec2fArray.FromNumpy(st.astype(np.float32)))
+    primvar.SetIndices(Vt.IntArray.FromNumpy(indices.astype(np.int32).ravel()))
+
+
+def define_tuft(stage, path, points, width):
+    """Hairs that taper to a tip."""
+    curves = UsdGeom.BasisCurves.Define(stage, path)
+    flat = Vt.Vec3fArray.FromNumpy(points.reshape(-1, 3).astype(np.float32))
+    curves.CreatePointsAttr(flat)
+    curves.CreateCurveVertexCountsAttr(Vt.IntArray(len(points), points.shape[1]))
+    curves.CreateTypeAttr(UsdGeom.Tokens.cubic)
+    curves.CreateBasisAttr(UsdGeom.Tokens.catmullRom)
+    curves.CreateWrapAttr(UsdGeom.Tokens.pinned)
+    taper = width * np.array([1.0, 0.9, 0.6, 0.08], np.float32)
+    curves.CreateWidthsAttr(Vt.FloatArray.FromNumpy(np.tile(taper, len(points))))
+    curves.SetWidthsInterpolation(UsdGeom.Tokens.vertex)
+    curves.CreateExtentAttr(UsdGeom.PointBased.ComputeExtent(flat))
 
 
 def define_mesh(stage, path, points, triangles, normals):
@@ -133,6 +163,114 @@ def look(name, **inputs):
 '''
 
 
+def skin():
+    """A medium whose colour a map gives, pores by another, and a wet layer by a third."""
+    mapped = {"subsurfaceColor": "Color.outputs:rgb", "normal": "Pores.outputs:rgb"}
+    mapped |= {
+        "clearcoat": "Wet.outputs:r",
+        "clearcoatRoughness": "Wet.outputs:g",
+        "roughness": "Wet.outputs:b",
+    }
+    kinds = {"subsurfaceColor": "color3f", "normal": "normal3f"}
+    lines = "".join(
+        f"\n                {kinds.get(key, 'float')} inputs:{key}.connect = </World/Looks/Skin/{source}>"
+        for key, source in mapped.items()
+    )
+    images = (
+        uv_texture("Color", "orc_color.jpg", "sRGB", "float3 outputs:rgb")
+        + uv_texture("Pores", "orc_normal.jpg", "raw", "float3 outputs:rgb", PORES)
+        + uv_texture("Wet", "orc_wet.jpg", "raw", "float outputs:r", "float outputs:g", "float outputs:b")
+    )
+    return f'''
+        def Material "Skin"
+        {{
+            token outputs:surface.connect = </World/Looks/Skin/Surface.outputs:surface>
+
+            def Shader "Surface"
+            {{
+                uniform token info:id = "UsdPreviewSurface"
+                float inputs:ior = 1.4
+                float inputs:subsurface = 1
+                color3f inputs:subsurfaceRadius = (0.055, 0.02, 0.012)
+                token inputs:subsurfaceBoundary = "diffuse"{lines}
+                token outputs:surface
+            }}
+
+            def Shader "Coordinates"
+            {{
+                uniform token info:id = "UsdPrimvarReader_float2"
+                string inputs:varname = "st"
+                float2 outputs:result
+            }}
+{images}        }}
+'''
+
+
+PORES = "float4 inputs:scale = (2, 2, 2, 1)", "float4 inputs:bias = (-1, -1, -1, 0)"
+
+
+def uv_texture(name, file, space, *lines):
+    lines = [line for group in lines for line in (group if isinstance(group, tuple) else (group,))]
+    body = "".join(f"\n                {line}" for line in lines)
+    return f'''
+            def Shader "{name}"
+            {{
+                uniform token info:id = "UsdUVTexture"
+                asset inputs:file = @./textures/{file}@
+                token inputs:sourceColorSpace = "{space}"
+                token inputs:wrapS = "repeat"
+                token inputs:wrapT = "clamp"
+                float2 inputs:st.connect = </World/Looks/Skin/Coordinates.outputs:result>{body}
+            }}
+'''
+
+
+def hair():
+    """Dark brown by melanin, as MaterialX' nodes say it."""
+    return """
+        def Material "Hair"
+        {
+            token outputs:mtlx:surface.connect = </World/Looks/Hair/Surface.outputs:out>
+
+            def Shader "Surface"
+            {
+                uniform token info:id = "ND_surface"
+                token inputs:bsdf.connect = </World/Looks/Hair/Strand.outputs:out>
+                token outputs:out
+            }
+
+            def Shader "Strand"
+            {
+                uniform token info:id = "ND_chiang_hair_bsdf"
+                float inputs:cuticle_angle = 0.515
+                float3 inputs:absorption_coefficient.connect = </World/Looks/Hair/Melanin.outputs:absorption>
+                float2 inputs:roughness_R.connect = </World/Looks/Hair/Roughness.outputs:roughness_R>
+                float2 inputs:roughness_TT.connect = </World/Looks/Hair/Roughness.outputs:roughness_TT>
+                float2 inputs:roughness_TRT.connect = </World/Looks/Hair/Roughness.outputs:roughness_TRT>
+                token outputs:out
+            }
+
+            def Shader "Melanin"
+            {
+                uniform token info:id = "ND_deon_hair_absorption_from_melanin"
+                float inputs:melanin_concentration = 0.9
+                float inputs:melanin_redness = 0.35
+                float3 outputs:absorption
+            }
+
+            def Shader "Roughness"
+            {
+                uniform token info:id = "ND_chiang_hair_roughness"
+                float inputs:longitudinal = 0.3
+                float inputs:azimuthal = 0.35
+                float2 outputs:roughness_R
+                float2 outputs:roughness_TT
+                float2 outputs:roughness_TRT
+            }
+        }
+"""
+
+
 def scattering(name, color, mean_free_path, roughness, **more):
     return look(
         name,
@@ -156,7 +294,8 @@ def looks():
     coat = {"clearcoat": ("float", 0.5), "clearcoatRoughness": ("float", 0.15)}
     parts = [
         "\n        # Very thick: the red mean free path is about a tenth of the ear's membrane (0.4 to 0.5 cm).",
-        scattering("Skin", "(0.76, 0.66, 0.37)", "(0.055, 0.02, 0.012)", 0.38),
+        skin(),
+        hair(),
         scattering("Ivory", "(0.86, 0.77, 0.58)", "(0.11, 0.075, 0.045)", 0.3, **coat),
         "\n        # The eye: the tear film is a clear coat over sclera, limbus, three tones of iris, and pupil.",
         wet("Sclera", "(0.62, 0.5, 0.36)"),
@@ -188,6 +327,7 @@ def bound(kind, name, material, indent, inside=""):
 
 def bust():
     parts = [bound("Mesh", name, material, 8) for name, material in BINDINGS.items()]
+    parts += [bound("BasisCurves", name, material, 8) for name, material in TUFT_BINDINGS.items()]
     subsets = "".join("\n" + bound("GeomSubset", region, m, 12) for region, m in EYE_BINDINGS.items())
     parts += [bound("Mesh", name, "Sclera", 8, subsets) for name in ("EyeLeft", "EyeRight")]
     return "\n".join(parts)

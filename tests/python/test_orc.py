@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Usd, UsdGeom
+from pxr import Usd, UsdGeom, UsdShade
 
 SCENES = Path(__file__).parents[2] / "usd_scenes"
 STAGE = Usd.Stage.Open(str(SCENES / "orc.usda"))
@@ -61,3 +61,58 @@ def test_ears_are_thin() -> None:
             behind.append(depth[facing].min())
     assert len(behind) > 100
     assert 0.3 < np.median(behind) < 0.7, f"median thickness {np.median(behind):.2f} cm"
+
+
+def test_skin_has_coordinates_without_a_jump() -> None:
+    """No triangle spans the map; around the seam, s goes on beyond 1."""
+    points, triangles = read("Skin")
+    primvar = UsdGeom.PrimvarsAPI(STAGE.GetPrimAtPath("/World/Bust/Skin")).GetPrimvar("st")
+    assert primvar.GetInterpolation() == UsdGeom.Tokens.faceVarying
+    st = np.asarray(primvar.ComputeFlattened(), np.float64).reshape(-1, 3, 2)
+    assert len(st) == len(triangles)
+    spans = np.ptp(st, axis=1).max(1)
+    # At the poles, on the crown and below the bust, a triangle sees much of the turn.
+    axis = np.hypot(*points[triangles].mean(1)[:, [0, 2]].T)
+    assert axis[spans > 0.2].max() < 0.3 and (spans > 0.2).sum() < 30
+    assert st.min() >= 0.0 and st[..., 1].max() <= 1.0 and 1.0 < st[..., 0].max() < 1.5
+    front = points[triangles][..., 2].min(1) > 4.0
+    assert abs(np.median(st[front][..., 0]) - 0.5) < 0.02
+
+
+def test_maps_are_found_and_light() -> None:
+    files = [
+        Path(shader.GetInput("file").Get().resolvedPath)
+        for shader in map(UsdShade.Shader, STAGE.Traverse())
+        if shader and shader.GetIdAttr().Get() == "UsdUVTexture"
+    ]
+    assert len(files) == 3 and all(file.is_file() for file in files)
+    assert sum(file.stat().st_size for file in files) < 1.5e6
+
+
+def test_normals_of_the_map_are_unit_and_level() -> None:
+    oiio = pytest.importorskip("OpenImageIO")
+    image = oiio.ImageBuf(str(SCENES / "textures" / "orc_normal.jpg"))
+    n = 2.0 * image.get_pixels(oiio.FLOAT) - 1.0
+    assert np.linalg.norm(n, axis=-1).mean() == pytest.approx(1.0, abs=0.03)
+    assert np.abs(n[..., :2].mean((0, 1))).max() < 0.01 and n[..., 2].min() > 0.0
+    # Pores, not noise: slopes of some degrees.
+    assert 0.04 < n[..., :2].std() < 0.15
+
+
+@pytest.mark.parametrize(("name", "least"), [("Lashes", 120), ("Brows", 300)])
+def test_hairs_grow_out_of_the_skin(name: str, least: int) -> None:
+    """Each root is under the nearest vertex of the skin, by less than a millimetre, and the tip above it."""
+    curves = UsdGeom.BasisCurves(STAGE.GetPrimAtPath(f"/World/Bust/{name}"))
+    hairs = np.asarray(curves.GetPointsAttr().Get(), np.float64).reshape(-1, 4, 3)
+    assert len(hairs) >= least
+    points, _ = read("Skin")
+    mesh = UsdGeom.PrimvarsAPI(STAGE.GetPrimAtPath("/World/Bust/Skin"))
+    normals = np.asarray(mesh.GetPrimvar("normals").Get(), np.float64)
+    for points_of_hair in hairs[:: len(hairs) // 40]:
+        root, tip = points_of_hair[0], points_of_hair[-1]
+        i = np.linalg.norm(points - root, axis=1).argmin()
+        depth = (points[i] - root) @ normals[i]
+        assert 0.0 < depth < 0.1
+        assert np.linalg.norm(points - tip, axis=1).min() > 0.05
+    bound = UsdShade.MaterialBindingAPI(curves).ComputeBoundMaterial()[0]
+    assert str(bound.GetPath()) == "/World/Looks/Hair"
