@@ -5,10 +5,11 @@ mod directions;
 mod dropped;
 mod infinite;
 mod many;
+mod motion;
 mod quadrature;
 mod shapes;
 
-use super::{LightSample, Lights};
+use super::{LightSample, Lights, LightsAt};
 use crate::light::Choice;
 use crate::{
     flat::{self, IDENTITY, LightShape, Matrix4d, Prims},

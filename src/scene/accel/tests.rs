@@ -258,3 +258,30 @@ fn closest_point_takes_the_lowest_index_and_skips_what_is_not_finite() {
     assert_eq!(blas(&bad).closest_point(Vec3::ZERO), None);
     assert_eq!(blas(&[]).closest_point(Vec3::ZERO), None);
 }
+
+/// Where points move, the hit is that of the mesh as it is at that time, and no edge leaks: 400 rays at each of five times.
+#[test]
+fn moving_triangles_are_those_of_their_time() {
+    let mut random = Sampler::new(11, 0, 0);
+    let mut point = || cube(&mut random);
+    let (a, mut b): (Vec<Vec3>, Vec<Vec3>) = (0..300).map(|_| (point(), point())).unzip();
+    b[..30].copy_from_slice(&a[..30]);
+    let triangles: Vec<[u32; 3]> = (0..298).map(|i| [i, i + 1, i + 2]).collect();
+    let moving = MovingBlas::build([&a, &b], &triangles);
+    for f in [0.0, 0.2, 0.5, 0.77, 0.999] {
+        let points: Vec<Vec3> = a.iter().zip(&b).map(|(a, b)| between(*a, *b, f)).collect();
+        let still = Blas::build(&points, &triangles);
+        let mut hits = 0;
+        for _ in 0..400 {
+            let ray = Ray::new(point() * 2.0, point(), f32::INFINITY);
+            let expected = still.closest_skip(&ray, 7);
+            assert_eq!(moving.closest_skip(&ray, 7, f), expected, "{ray:?} at {f}");
+            assert_eq!(moving.any_skip(&ray, 7, f), expected.is_some());
+            hits += usize::from(expected.is_some());
+            let p = point();
+            let (near, own) = (still.closest_point(p), moving.closest_point_under(&Mat3::IDENTITY, 1.0, p, f));
+            assert_eq!(near.map(|at| at.distance_squared), own.map(|at| at.distance_squared));
+        }
+        assert!(hits > 100);
+    }
+}
