@@ -22,10 +22,8 @@ fn moving(shape: LightShape) -> flat::Light {
 
 #[test]
 fn a_moving_light_is_the_light_that_stands_there() {
-    let mut shapes = area_shapes().to_vec();
-    shapes.push(LightShape::Distant { angle: 20.0 });
     let p = Vec3::new(0.4, -0.2, 0.1);
-    for shape in shapes {
+    for shape in area_shapes() {
         let lights = compile(&[moving(shape.clone())]);
         assert_eq!((lights.moving(), lights.is_moving()), (1, true));
         for time in [0.0, 0.3, 0.5, 1.0] {
@@ -49,6 +47,25 @@ fn a_moving_light_is_the_light_that_stands_there() {
                 }
             }
             assert!(found > 50, "{shape:?} at {time}: {found}");
+        }
+    }
+}
+
+/// Its directions are the same, and what they bring; which of them a number gives may turn with the light.
+#[test]
+fn a_sun_that_turns_is_the_sun_that_stands_there() {
+    let lights = compile(&[moving(LightShape::Distant { angle: 20.0 })]);
+    for time in [0.0, 0.3, 1.0] {
+        let still = compile(&[light(LightShape::Distant { angle: 20.0 }, placed(10.0 + 60.0 * f64::from(time), 0.0))]);
+        let (now, then) = (lights.at(time), still.at(0.0));
+        for (i, lights) in [now, then].into_iter().cycle().take(400).enumerate() {
+            // Not at the rim, where rounding decides.
+            let u = Vec2::new(0.99 * (i as f32 + 0.5) / 400.0, (i as f32 * 0.618).fract());
+            let sample = lights.sample_light(0, Vec3::ZERO, None, u).expect("a direction");
+            for lights in [now, then] {
+                let pdf = lights.pdf_escaped(0, Vec3::ZERO, None, Choice::ONE, sample.wi);
+                assert!((pdf / sample.pdf - 1.0).abs() < 1e-5 && lights.escaped(0, sample.wi) == sample.radiance);
+            }
         }
     }
 }
@@ -81,7 +98,12 @@ fn a_tree_holds_lights_wherever_they_are() {
         let mut sum = 0.0;
         for light in 0..60 {
             let probability = now.choice_probability(light, p, n, Choice::ONE);
-            assert!(probability > 0.0 || !now.reaches(light, p, n), "light {light} at {p} is never drawn");
+            let gives = (0..16).any(|k| {
+                let u = Vec2::new((k as f32 + 0.5) / 16.0, (k as f32 * 0.618).fract());
+                let sample = now.sample_light(light, p, n, u);
+                sample.is_some_and(|s| s.radiance != Vec3::ZERO && n.is_none_or(|n| s.wi.dot(n) > 1e-3))
+            });
+            assert!(probability > 0.0 || !gives, "light {light} at {p} is never drawn");
             sum += probability;
         }
         assert!(sum < 1.0 + 1e-4 && sum > 0.5, "{sum}");

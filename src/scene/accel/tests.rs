@@ -273,7 +273,8 @@ fn moving_triangles_are_those_of_their_time() {
         let still = Blas::build(&points, &triangles);
         let mut hits = 0;
         for _ in 0..400 {
-            let ray = Ray::new(point() * 2.0, point(), f32::INFINITY);
+            let (o, to) = (point() * 2.0, point());
+            let ray = Ray::new(o, to - o, f32::INFINITY);
             let expected = still.closest_skip(&ray, 7);
             assert_eq!(moving.closest_skip(&ray, 7, f), expected, "{ray:?} at {f}");
             assert_eq!(moving.any_skip(&ray, 7, f), expected.is_some());

@@ -76,6 +76,9 @@ def view_of(flat: FlatStage) -> View:
         require(camera[name] == 0.0, path, name, camera[name])
     focused = settings.get("disableDepthOfField") or 0.0 in (camera["fStop"], camera["focusDistance"])
     require(bool(focused), path, "fStop", camera["fStop"])
+    moving = [key for key, prim in flat.prims.items() if "transformKeys" in prim or "pointKeys" in prim]
+    still = bool(settings.get("disableMotionBlur")) or not moving
+    require(still, moving[0] if moving else path, "shutter:open, shutter:close", "motion blur")
     policy = settings.get("aspectRatioConformPolicy", "expandAperture")
     require(policy == "expandAperture", path, "aspectRatioConformPolicy", policy)
     aspect = settings.get("pixelAspectRatio", 1.0)
