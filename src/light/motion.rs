@@ -73,8 +73,13 @@ impl Motion {
     /// For a cluster of lights; what turns may look anywhere.
     pub fn bound(&self, still: Bound) -> Bound {
         let (min, max) = self.swept((still.min, still.max));
-        let spread = if self.turns { PI } else { still.spread };
-        Bound { min, max, spread, ..still }
+        if self.turns {
+            return Bound { min, max, spread: PI, plane: f32::NEG_INFINITY, ..still };
+        }
+        let least = self.keys.values().iter().map(|key| still.axis.dot(key.shift)).fold(f32::INFINITY, f32::min);
+        // The rounding of the sum.
+        let slack = 4.0 * f32::EPSILON * (still.plane.abs() + least.abs());
+        Bound { min, max, plane: still.plane + least - slack, ..still }
     }
 }
 

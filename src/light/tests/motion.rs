@@ -70,7 +70,7 @@ fn a_sun_that_turns_is_the_sun_that_stands_there() {
     }
 }
 
-/// A tree of moving lights leaves none out that gives something, and what it gives adds up to the whole.
+/// A tree of moving lights leaves none out that gives something, and gives none too often.
 #[test]
 fn a_tree_holds_lights_wherever_they_are() {
     let mut random = Random::new(3);
@@ -82,10 +82,15 @@ fn a_tree_holds_lights_wherever_they_are() {
     };
     let all: Vec<flat::Light> = (0..60)
         .map(|i| {
-            let mut at = || place(90.0 * number(), [number(), number(), number()]);
+            // Every other one does not turn.
+            let turned = 90.0 * number();
+            let mut at = || {
+                let more = if i % 2 == 0 { 45.0 * number() } else { 0.0 };
+                place(turned + more, [number(), number(), number()])
+            };
             let transforms = vec![vec![at()].into(), vec![at()].into(), vec![at()].into()];
             let keys = TransformKeys { times: vec![0.0, 0.4, 1.0], transforms };
-            let shape = area_shapes()[i % 4].clone();
+            let shape = area_shapes()[i / 2 % 4].clone();
             flat::Light { transform_keys: Some(keys), ..light(shape, at()) }
         })
         .collect();
@@ -106,6 +111,6 @@ fn a_tree_holds_lights_wherever_they_are() {
             assert!(probability > 0.0 || !gives, "light {light} at {p} is never drawn");
             sum += probability;
         }
-        assert!(sum < 1.0 + 1e-4 && sum > 0.5, "{sum}");
+        assert!(sum < 1.0 + 1e-4, "{sum}");
     }
 }
