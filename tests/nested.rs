@@ -424,3 +424,37 @@ fn area(mesh: &Mesh) -> f64 {
     };
     triangles.map(area).sum()
 }
+
+/// A row of bodies under the sky, half of them in the shadow of a roof.
+fn row(turned: bool) -> RenderDelegate {
+    let transforms = (0..6).map(|i| {
+        let angle = if turned { 0.5 * f64::from(i) } else { 0.0 };
+        let (sin, cos) = angle.sin_cos();
+        [[cos, 0.0, -sin, 0.0], [0.0, 1.0, 0.0, 0.0], [sin, 0.0, cos, 0.0], [f64::from(i) - 2.5, 0.0, 0.0, 1.0]]
+    });
+    let ball = Mesh { instancer: "/I".into(), ..body(sphere(16, 0.45), "/Wax", 0, [0.0; 3]) };
+    let roof = body(cuboid(Vec3::new(1.5, 0.1, 1.0)), "/Dark", 0, [-1.5, 1.2, 0.0]);
+    let mut sun = Light { shape: LightShape::Distant { angle: 3.0 }, intensity: 300.0, ..Light::default() };
+    // From above: -Z of the light is where it shines.
+    (sun.transform[1], sun.transform[2]) = ([0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0]);
+    let materials = vec![("/Wax", medium("diffuse", 0.99, 0.05, 1.4)), ("/Dark", opaque(0.2))];
+    let mut delegate = scene(vec![ball, roof], materials, vec![sun], camera(DVec3::new(0.0, 1.0, 8.0), 44.0));
+    let transforms: Vec<_> = transforms.collect();
+    let instancer = dermis::flat::Instancer { visible: true, transforms: transforms.into(), ..Default::default() };
+    delegate.sync("/I", Prim::Instancer(instancer), DirtyBits::ALL);
+    delegate
+}
+
+/// Bodies that the sky lights alike have one boundary cache, and the picture of classical walks, shadows or not; turned
+/// ones have their own.
+#[test]
+fn bodies_alike_share_a_cache() {
+    let z = z(&mut row(false), &mut row(false), ["classical", "mixture"], 64);
+    assert!(z.abs() < 4.0, "z {z}");
+    for (turned, caches) in [(false, 1), (true, 6)] {
+        let mut delegate = row(turned);
+        mean(&mut delegate, settings(24, 4));
+        assert_eq!(delegate.stats()["guide"]["bodies"], caches, "turned: {turned}");
+        assert_eq!(delegate.stats()["needs"]["alike"], if turned { 0 } else { 5 });
+    }
+}

@@ -49,8 +49,8 @@ impl Guide {
     /// irradiance there.
     pub fn numbered(&self, instance: u32, p: Vec3, n: Vec3) -> Option<(u32, Rgb)> {
         let at = self.region(instance, p, n)?;
-        let cell = &self.fields[instance as usize].as_ref()?.cache.means[at.region as usize];
-        Some((self.numbers[instance as usize] + at.region, cell.irradiance))
+        let cell = &self.fields[at.instance as usize].as_ref()?.cache.means[at.region as usize];
+        Some((self.numbers[at.instance as usize] + at.region, cell.irradiance))
     }
 
     /// Mean shares over the regions where walks of the exact mixture started, and how many of those have control

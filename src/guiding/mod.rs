@@ -70,6 +70,8 @@ pub struct Guide {
     media: Vec<Option<GuidedMedium>>,
     /// By instance; `None`: nothing to know about its boundary. Boxed: of a million instances few have one.
     pub fields: Vec<Option<Box<Field>>>,
+    /// By instance, the one whose field it shares; empty: each has its own.
+    pub homes: Vec<u32>,
     pub exit_lights: ExitLights,
     /// Samples of each light where all are sampled at an exit.
     light_samples: u32,
@@ -100,6 +102,7 @@ impl Guide {
         Self {
             media: media.collect(),
             fields: scene.instances.iter().map(|_| None).collect(),
+            homes: Vec::new(),
             plans,
             light_samples: (EXIT_SAMPLES / scene.lights.len().max(1) as u32).max(1),
             exit_lights: ExitLights::of(scene, settings),
@@ -126,15 +129,21 @@ impl Guide {
         if mixture { self.classical.max(normals::CLASSICAL_START) } else { self.classical }
     }
 
+    /// The instance that has the field of `instance`. Walk spaces of those that share one are alike.
+    fn home(&self, instance: u32) -> u32 {
+        self.homes.get(instance as usize).copied().unwrap_or(instance)
+    }
+
     fn region(&self, instance: u32, p: Vec3, n: Vec3) -> Option<RegionId> {
+        let instance = self.home(instance);
         let field = self.fields[instance as usize].as_ref()?;
         Some(RegionId { instance, region: field.find(p, n)? })
     }
 
     /// Techniques of an exact walk that enters `instance` at `p` (walk space), outward normal `n`.
     pub fn start(&self, walk: Walk, instance: u32, p: Vec3, n: Vec3) -> Start<'_> {
-        let Some(field) = self.fields[instance as usize].as_ref().filter(|_| !matches!(walk, Walk::Poe | Walk::Cp))
-        else {
+        let home = self.home(instance) as usize;
+        let Some(field) = self.fields[home].as_ref().filter(|_| !matches!(walk, Walk::Poe | Walk::Cp)) else {
             let techniques = normals::without_cache(self.classical, self.guided_first && walk != Walk::Cp);
             return Start { techniques: at_entry(techniques, n), region: None, controls: None };
         };
@@ -150,7 +159,7 @@ impl Guide {
 
     /// The paper's choice of a slab normal for a walk that enters `instance` at `p` (walk space), outward normal `n`.
     pub fn slab_normal(&self, instance: u32, p: Vec3, n: Vec3, u: (f32, f32), u_direction: Vec2) -> Option<Vec3> {
-        let field = self.fields[instance as usize].as_ref()?;
+        let field = self.fields[self.home(instance) as usize].as_ref()?;
         field.slab_normal(field.find(p, n)?, u, u_direction)
     }
 
@@ -166,6 +175,7 @@ impl Guide {
     /// The cell where a walk comes out of `instance` at `p` (walk space), outward normal `n`, if directions are learned
     /// there.
     pub fn exit_cell(&self, instance: u32, p: Vec3, n: Vec3) -> Option<RegionId> {
+        let instance = self.home(instance);
         let region = self.fields[instance as usize].as_ref()?.exits.as_ref()?.find(p, n)?;
         Some(RegionId { instance, region })
     }

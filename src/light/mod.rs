@@ -146,6 +146,11 @@ impl Lights {
     }
 
     /// Whether surfaces of the scene are the light's.
+    /// Whether each is a dome or a distant light.
+    pub fn are_infinite(&self) -> bool {
+        self.lights.iter().all(|light| matches!(light, Light::Dome(_) | Light::Distant(_)))
+    }
+
     pub fn is_mesh(&self, light: u32) -> bool {
         matches!(self.lights[light as usize], Light::Area(AreaLight { shape: Shape::Mesh(_), .. }))
     }

@@ -2,7 +2,7 @@
 
 use crate::guiding::Guide;
 use crate::scene::{Instance, Scene};
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 
 /// Of a body that has any: fewer than that know nothing.
 const LEAST_RECORDS: u32 = 256;
@@ -17,20 +17,42 @@ pub(super) fn needs_records(guide: &Guide, instance: &Instance, triangle: u32) -
     guide.plan(surface).is_some_and(|(plan, _)| guide.must_know(plan))
 }
 
-/// Instances with the number of their records, out of `records` for all; and how many bodies are too small for any.
-pub(super) fn share_records(scene: &Scene, guide: &Guide, records: u32) -> (Vec<(u32, u32)>, usize) {
+/// Records from which on a body has a cache of its own: the least of a whole scene. Others share one with those that light
+/// reaches alike, if there are any.
+const OWN: f64 = 8_000.0;
+
+/// Instances that have a cache together, and the number of its records. The first is that of the largest in the image.
+pub(super) struct Body {
+    pub members: Vec<u32>,
+    pub records: u32,
+}
+
+/// Bodies with a share of `records`, and how many instances are too small for any.
+pub(super) fn share_records(scene: &Scene, guide: &Guide, records: u32) -> (Vec<Body>, usize) {
     if !guide.plans.iter().flatten().any(|plan| guide.must_know(plan)) {
         return (Vec::new(), 0);
     }
     let sizes = apparent_sizes(scene, guide);
     let all: f64 = sizes.iter().map(|(_, size)| size).sum();
     let of = |size: f64| f64::from(records) * size / all;
-    let large: Vec<(u32, u32)> = sizes
-        .iter()
-        .filter(|(_, size)| of(*size) >= WORTH)
-        .map(|&(instance, size)| (instance, (of(size) as u32).max(LEAST_RECORDS)))
-        .collect();
-    let small = sizes.len() - large.len();
+    let mut bodies: BTreeMap<u32, Vec<(u32, f64)>> = BTreeMap::new();
+    for &(instance, size) in &sizes {
+        let alike = scene.alike.get(instance as usize).filter(|_| of(size) < OWN);
+        // An own cache beside one that others share: keys of the latter are above all instances.
+        let key = alike.map_or(instance, |first| first + scene.instances.len() as u32);
+        bodies.entry(key).or_default().push((instance, size));
+    }
+    let (mut large, mut small) = (Vec::new(), 0);
+    for mut members in bodies.into_values() {
+        let size: f64 = members.iter().map(|(_, size)| size).sum();
+        if of(size) < WORTH {
+            small += members.len();
+            continue;
+        }
+        members.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
+        let records = (of(size) as u32).max(LEAST_RECORDS);
+        large.push(Body { members: members.into_iter().map(|(instance, _)| instance).collect(), records });
+    }
     (large, small)
 }
 

@@ -3,7 +3,7 @@
 //! Points are spread uniformly over the boundary, which reaches the back of an ear that no walk has found yet, or
 //! found as the paper does, where camera paths enter and where classical walks come out.
 
-use super::bodies::{needs_records, share_records};
+use super::bodies::{Body, needs_records, share_records};
 use crate::flat::RenderSettings;
 use crate::guiding::cache::Record;
 use crate::guiding::field::{Field, FieldSettings};
@@ -49,6 +49,9 @@ const LEAST_LIT: u32 = 2;
 /// Smallest and largest cell relative to the longest side of the object.
 const CELL_RANGE: [f32; 2] = [1.0 / 128.0, 1.0 / 4.0];
 
+/// Bodies of one cache that are looked at: shadows of more say little new.
+const MOST_PROBED: usize = 64;
+
 /// What training took.
 #[derive(Default)]
 pub struct Trained {
@@ -65,19 +68,43 @@ pub fn train(scene: &Scene, settings: &RenderSettings, guide: &mut Guide) -> Tra
     let mut trained = Trained { bodies: [shares.len(), small], ..Trained::default() };
     let learned = guide.exit_lights == ExitLights::Learned && !shares.is_empty();
     let parts = if learned { scene.lights.parts() } else { Parts::default() };
-    for (instance, count) in shares {
+    for body in shares {
+        let instance = body.members[0];
         let Some(boundary) = BoundaryOf::new(scene.middle(), guide, instance) else { continue };
-        let (found, seen) = match settings.cache_fill.as_str() {
-            "camera" => boundary.records_by_walks(guide, settings, count),
-            _ => boundary.records_by_area(guide, settings.seed, count),
-        };
+        let (found, seen) = records(scene, settings, guide, &body);
         trained.stats.add(&seen);
         trained.records += found.len() as u64;
+        if body.members.len() > 1 {
+            if guide.homes.is_empty() {
+                guide.homes = (0..scene.instances.len() as u32).collect();
+            }
+            body.members.iter().for_each(|&member| guide.homes[member as usize] = instance);
+        }
         let of_field = boundary.field_settings(settings, guide, found.len());
         let field = Field::build(&found, &boundary.medium, &parts, of_field);
         guide.fields[instance as usize] = Some(Box::new(field));
     }
     trained
+}
+
+/// The records of a body, from as many of those that share its cache as are worth a look.
+fn records(scene: &Scene, settings: &RenderSettings, guide: &Guide, body: &Body) -> (Vec<Record>, PathStats) {
+    let step = body.members.len().div_ceil(MOST_PROBED);
+    let probed: Vec<u32> = body.members.iter().copied().step_by(step).collect();
+    let share = probed.len() as u32;
+    let (mut all, mut stats) = (Vec::new(), PathStats::default());
+    for boundary in probed.into_iter().filter_map(|instance| BoundaryOf::new(scene.middle(), guide, instance)) {
+        let count = body.records.div_ceil(share);
+        let (mut found, seen) = match settings.cache_fill.as_str() {
+            "camera" => boundary.records_by_walks(guide, settings, count),
+            _ => boundary.records_by_area(guide, settings.seed, count),
+        };
+        // Together they stand for the boundary once.
+        found.iter_mut().for_each(|record| record.area /= share as f32);
+        all.append(&mut found);
+        stats.add(&seen);
+    }
+    (all, stats)
 }
 
 fn record_count(scene: &Scene, settings: &RenderSettings) -> u32 {

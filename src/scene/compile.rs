@@ -1,6 +1,7 @@
 //! From the flattened scene to the compiled one: geometry is kept from commit to commit, the rest is cheap.
 
 use super::accel::{Aabb, Tlas};
+use super::alike::alike;
 use super::company::companies;
 use super::displace::Displacement;
 use super::image::{ImageCache, build_images};
@@ -89,10 +90,12 @@ pub fn compile(flat: &FlatScene, kept: &mut Kept, warnings: &mut Vec<Warning>) -
     let shapes: Vec<(u32, Aabb)> = lights.shapes().map(|(light, (min, max))| (light, Aabb { min, max })).collect();
     let moves = instances.iter().any(Instance::is_moving);
     let anything_moves = moves || camera.is_moving() || lights.is_moving();
+    let companies = companies(&instances, &boxes, &surfaces, &lights, &sets);
     let mut scene = Scene {
         moves,
         frozen: (!anything_moves || flat.settings.disable_motion_blur).then(|| camera.time_of_frame()),
-        companies: companies(&instances, &boxes, &surfaces, &lights, &sets),
+        alike: alike(&instances, &surfaces, &lights, &companies),
+        companies,
         camera_within: Vec::new(),
         tlas: Tlas::build(&boxes),
         light_tlas: Tlas::build(&shapes.iter().map(|s| s.1).collect::<Vec<_>>()),

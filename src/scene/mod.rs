@@ -1,6 +1,7 @@
 //! The compiled scene: immutable, in render space (world translated to the camera), ready for rays.
 
 pub mod accel;
+mod alike;
 mod company;
 mod compile;
 mod displace;
@@ -111,6 +112,8 @@ pub struct Scene {
     light_shapes: Vec<u32>,
     light_tlas: Tlas,
     companies: company::Companies,
+    /// By instance, the first one whose boundary light reaches alike; empty where no two do.
+    pub alike: Vec<u32>,
     /// Bodies that the camera is in, outermost first.
     pub camera_within: Vec<Around>,
     pub needs: Needs,

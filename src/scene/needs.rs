@@ -43,6 +43,8 @@ pub struct Needs {
     pub hosts: u32,
     /// Instances that share an interior with others of their set.
     pub in_sets: u32,
+    /// Placements of media that light reaches as an earlier one.
+    pub alike: u32,
     /// Bodies that the camera is in.
     pub around_camera: u32,
     pub rgb_media: bool,
@@ -156,6 +158,13 @@ impl Needs {
                 self.in_sets > 0,
                 count(self.in_sets, "placements share their interior with others of one subsurfaceSet"),
                 "no two meshes with a diffuse boundary are of one subsurfaceSet",
+            ),
+            line(
+                "shared boundary caches",
+                self.alike > 0,
+                count(self.alike, "placements of a medium have that of an earlier one, unless they fill the frame"),
+                "no medium is placed twice, turned and scaled alike, under domes and distant lights alone: near lights, \
+                 or another orientation, are another side of the body",
             ),
             line(
                 "camera in a medium",

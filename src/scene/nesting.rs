@@ -16,6 +16,7 @@ pub(super) fn look_around(scene: &mut Scene, flat: &FlatScene, warnings: &mut Ve
             Company::Set(_) => scene.needs.in_sets += 1,
         }
     }
+    scene.needs.alike = scene.alike.iter().enumerate().filter(|(i, first)| *i != **first as usize).count() as u32;
     scene.camera_within = around_camera(scene, &paths, warnings);
     scene.needs.around_camera = scene.camera_within.len() as u32;
     warn_of_lights(scene, &paths, warnings);

@@ -1,5 +1,6 @@
 """The rows of the table. One more is one more entry of CAPABILITIES, by the name that `dermis explain` has for it."""
 
+import math
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -76,6 +77,31 @@ def tank(y: float) -> str:
     air = medium("indexMatched", radius=(1e3, 1e3, 1e3), more="color3f inputs:subsurfaceAlbedo = (0, 0, 0)")
     return LAMP + ball("Tank", "/World/Air", moved(0.0, y), 20.0) + material("Air", air)
 
+
+def twin(turned: float = 0.0) -> str:
+    """Two more balls of the medium, instances of one: lit alike unless one of them is turned."""
+    orientation = f"({math.cos(math.radians(turned / 2))}, 0, 0, {math.sin(math.radians(turned / 2))})"
+    return (
+        f"""
+    def PointInstancer "Twins"
+    {{
+        rel prototypes = </World/Twins/One>
+        int[] protoIndices = [0, 0]
+        point3f[] positions = [(2.1, 0, 0), (-2.1, 0, 0)]
+        quath[] orientations = [(1, 0, 0, 0), {orientation}]
+    """
+        + ball("One", "/World/Look")
+        + "}"
+    )
+
+
+TWIN = twin()
+SKY = """
+    def DomeLight "Sky"
+    {
+        float inputs:intensity = 1
+    }
+"""
 
 DARK = replace(WAX, world="", flags=(*WAX.flags, "--disableCameraLight"))
 """Media, and no light to walk to."""
@@ -316,6 +342,21 @@ CAPABILITIES = (
             replace(CLASSICAL, ball=SET, world=neighbour(SET)),
             replace(CLASSICAL, world=neighbour()),
             "no set",
+        ),
+    ),
+    Capability(
+        "shared boundary caches",
+        Compared(
+            "two bodies beside a near lamp",
+            replace(WAX, world=LAMP + TWIN),
+            replace(WAX, world=LAMP + twin(90.0)),
+            "one of them turned",
+        ),
+        Compared(
+            "two bodies under a dome",
+            replace(WAX, world=SKY + TWIN),
+            replace(WAX, world=SKY + twin(90.0)),
+            "one of them turned",
         ),
     ),
     Capability(
