@@ -31,6 +31,8 @@ struct Planes {
     pub albedo: bool,
     /// direct, indirect, subsurface.
     pub buckets: bool,
+    /// emission; firstBounce needs the direct light, too.
+    pub straight: bool,
     /// Second moments, for the variance AOV or a noise threshold.
     pub variance: bool,
     /// Of the first walk behind the camera ray.
@@ -51,7 +53,8 @@ impl Planes {
             geometry: has(&planes::GEOMETRY),
             motion: has(&[planes::MOTION]),
             albedo: has(&["albedo"]),
-            buckets: has(&["direct", "indirect", "subsurface"]),
+            buckets: has(&["direct", "indirect", "subsurface", "firstBounce"]),
+            straight: has(&["emission", "firstBounce"]),
             variance: has(&["variance"]),
             walks: has(&GUIDE_AOVS),
             objects: has(&["cryptoObject"]),
@@ -87,6 +90,8 @@ impl FirstHit {
 pub struct Sample {
     /// Light reflected by the first surface from lights, or emitted by it.
     pub direct: Rgb,
+    /// Of it, what came from lights and emitting surfaces to the camera straight.
+    pub straight: Rgb,
     pub indirect: Rgb,
     /// Light that entered a medium at the first surface.
     pub subsurface: Rgb,
@@ -110,6 +115,7 @@ pub struct OnSurface {
 impl Sample {
     pub const BLACK: Self = Self {
         direct: Rgb::ZERO,
+        straight: Rgb::ZERO,
         indirect: Rgb::ZERO,
         subsurface: Rgb::ZERO,
         alpha: 0.0,
@@ -136,6 +142,7 @@ pub struct Tile {
     alpha: Vec<f32>,
     squares: Vec<DVec3>,
     buckets: Vec<[Rgb; 3]>,
+    straight: Vec<Rgb>,
     albedo: Vec<Rgb>,
     first: Vec<FirstHit>,
     motion: Vec<Vec2>,
@@ -161,6 +168,7 @@ impl Tile {
             alpha: vec![0.0; n],
             squares: vec![DVec3::ZERO; on(planes.variance)],
             buckets: vec![[Rgb::ZERO; 3]; on(planes.buckets)],
+            straight: vec![Rgb::ZERO; on(planes.straight)],
             albedo: vec![Rgb::ZERO; on(planes.albedo)],
             first: vec![FirstHit::NONE; on(planes.geometry)],
             motion: vec![Vec2::ZERO; on(planes.motion)],
@@ -189,6 +197,9 @@ impl Tile {
             buckets[0] += sample.direct;
             buckets[1] += sample.indirect;
             buckets[2] += sample.subsurface;
+        }
+        if let Some(straight) = self.straight.get_mut(i) {
+            *straight += sample.straight;
         }
         if let Some(albedo) = self.albedo.get_mut(i) {
             *albedo += sample.albedo;
@@ -251,6 +262,7 @@ fn check_memory(data_window: DataWindow, planes: Planes) -> Result<()> {
         + 2 * size_of::<f32>()
         + on(planes.variance, size_of::<DVec3>())
         + on(planes.buckets, size_of::<[Rgb; 3]>())
+        + on(planes.straight, size_of::<Rgb>())
         + on(planes.albedo, size_of::<Rgb>())
         + on(planes.geometry, size_of::<FirstHit>())
         + on(planes.motion, size_of::<Vec2>())

@@ -42,6 +42,14 @@ impl Film {
                 planes.push(self.plane(name, 3, |t, i| rgb(mean(t, i, t.buckets[i][b]) * self.exposure)));
             }
         }
+        if self.planes.straight {
+            let straight = |t: &Tile, i: usize| mean(t, i, t.straight[i]) * self.exposure;
+            planes.push(self.plane("emission", 3, |t, i| rgb(straight(t, i))));
+            if self.planes.buckets {
+                let direct = |t: &Tile, i: usize| mean(t, i, t.buckets[i][0]) * self.exposure;
+                planes.push(self.plane("firstBounce", 3, |t, i| rgb(direct(t, i) - straight(t, i))));
+            }
+        }
         if self.planes.variance {
             let scale = f64::from(self.exposure * self.exposure);
             planes.push(self.plane("variance", 3, |t, i| {

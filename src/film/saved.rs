@@ -26,6 +26,7 @@ impl Tile {
         to.array(&self.alpha)?;
         to.array(&self.squares)?;
         to.array(&self.buckets)?;
+        to.array(&self.straight)?;
         to.array(&self.albedo)?;
         to.array(&self.first)?;
         to.array(&self.motion)?;
@@ -41,6 +42,7 @@ impl Tile {
         from.array(&mut self.alpha)?;
         from.array(&mut self.squares)?;
         from.array(&mut self.buckets)?;
+        from.array(&mut self.straight)?;
         from.array(&mut self.albedo)?;
         from.array(&mut self.first)?;
         from.array(&mut self.motion)?;

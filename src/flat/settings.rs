@@ -6,10 +6,19 @@ use serde::{Deserialize, Serialize};
 pub const AOVS: [&str; 10] =
     ["alpha", "depth", "normal", "position", "albedo", "primId", "direct", "indirect", "subsurface", "variance"];
 
-/// AOVs written only where asked for: kinds of depth (along the ray, of a rasteriser), eye space, motion, samples per pixel,
-/// Cryptomatte of the objects.
-pub const EXTRA_AOVS: [&str; 7] =
-    ["distance", "deviceDepth", "Peye", "Neye", "motionVector", "sampleCount", "cryptoObject"];
+/// AOVs written only where asked for: kinds of depth (along the ray, of a rasteriser), eye space, motion, light without a
+/// bounce and after one, samples per pixel, Cryptomatte of the objects.
+pub const EXTRA_AOVS: [&str; 9] = [
+    "distance",
+    "deviceDepth",
+    "Peye",
+    "Neye",
+    "motionVector",
+    "emission",
+    "firstBounce",
+    "sampleCount",
+    "cryptoObject",
+];
 
 /// AOVs of lights are named this, and a light group, or a light: written only where asked for.
 pub const LIGHT_AOV: &str = "light_";

@@ -178,7 +178,7 @@ pub fn trace(
     if !sample.color().is_finite() {
         path.stats.non_finite += 1;
         path.groups.fill(Rgb::ZERO);
-        return Sample { direct: Rgb::ZERO, indirect: Rgb::ZERO, subsurface: Rgb::ZERO, ..sample };
+        return Sample { direct: Rgb::ZERO, straight: Rgb::ZERO, indirect: Rgb::ZERO, subsurface: Rgb::ZERO, ..sample };
     }
     sample
 }
@@ -222,11 +222,13 @@ impl Path<'_> {
         self.stats.rays += 1;
         self.meet_ruled_lights_once();
         let hit = self.scene.closest(self.o, self.d, self.t_max, self.origin);
+        let before = self.sample.direct;
         self.meet_light_shapes(hit.as_ref().map_or(self.t_max, |hit| hit.t));
-        let Some(hit) = hit else {
+        if hit.is_none() {
             self.meet_infinite_lights();
-            return None;
-        };
+        }
+        self.note_straight(before);
+        let hit = hit?;
         self.throughput *= self.inside.transmittance(hit.t);
         self.cone.width = self.cone.at(hit.t);
         self.meet_surface(&hit, sampler)
@@ -243,7 +245,9 @@ impl Path<'_> {
     fn meet_surface(&mut self, hit: &SurfaceHit, sampler: &mut Sampler) -> Option<()> {
         let mut si = self.scene.interaction(hit, self.d, side_of(&self.inside, hit.instance));
         let coating = self.scene.shade(&mut si, self.cone.width);
+        let before = self.sample.direct;
         self.meet_surface_emission(&si, &coating);
+        self.note_straight(before);
         if self.depth > self.settings.max_depth {
             return None;
         }
@@ -252,6 +256,13 @@ impl Path<'_> {
             return self.pass_through(&si);
         }
         self.scatter(hit, &si, &coating, sampler)
+    }
+
+    /// What a segment has met since the direct light was `before` came straight to the camera, if nothing bent its path.
+    fn note_straight(&mut self, before: Rgb) {
+        if matches!(self.previous, Previous::Camera) {
+            self.sample.straight += self.sample.direct - before;
+        }
     }
 
     /// The bodies around the path beyond the boundary at `si`.

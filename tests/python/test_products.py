@@ -140,6 +140,8 @@ def test_products_of_a_sequence(stage, tmp_path, capsys):
         ("lpe:C.*[<L.>O]", "raw", "color"),
         ("C.?[LO]", "lpe", "direct"),
         ('C<T"subsurface">.*[LO]', "lpe", "subsurface"),
+        ("C[LO]", "lpe", "emission"),
+        ("lpe:C.[<L.>O]", "raw", "firstBounce"),
         ("Ci", "raw", "color"),
         ("cameraDepth", "raw", "depth"),
         ("deviceDepth", "intrinsic", "deviceDepth"),

@@ -18,7 +18,17 @@ GUIDE_AOVS = ("slabNormal", "entryAgreement", "walkLength", "region", "cacheIrra
 PRIMVAR = "primvars:"
 """Before the name of a primvar of the first surface."""
 
-EXTRA_AOVS = ("distance", "deviceDepth", "Peye", "Neye", "motionVector", "sampleCount", "cryptoObject")
+EXTRA_AOVS = (
+    "distance",
+    "deviceDepth",
+    "Peye",
+    "Neye",
+    "motionVector",
+    "emission",
+    "firstBounce",
+    "sampleCount",
+    "cryptoObject",
+)
 
 LIGHT_AOV = "light_"
 """What AOVs of a light group, or of one light, are named, before its name; only where asked for."""

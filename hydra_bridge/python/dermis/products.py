@@ -31,6 +31,8 @@ RAW_SOURCES = {
 LPES = {
     BEAUTY: ("C.*[LO]", "C.*", "C.*[<L.>O]", "C.*[O<L.>]", "C.*<L.>", "C.*L"),
     "direct": ("C.?[LO]", "C.?[<L.>O]", "C.{0,1}[LO]"),
+    "emission": ("C[LO]", "C[OL]", "C[<L.>O]", "C[O<L.>]"),
+    "firstBounce": ("C.[LO]", "C.[OL]", "C.[<L.>O]", "C.[O<L.>]", "C.{1}[LO]"),
     "subsurface": ("C<T'subsurface'>.*[LO]", "C<T'subsurface'>.*[<L.>O]", "C<TD>.*[LO]", "C<TD>.*[<L.>O]"),
 }
 """Light path expressions that the renderer keeps apart, without blanks and quotes of one kind."""
