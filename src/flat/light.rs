@@ -77,6 +77,24 @@ impl Default for Shadow {
     }
 }
 
+/// `UsdLuxPortalLight`: an XY rectangle through which the light of a dome comes in, along -Z.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+pub struct Portal {
+    /// Of its prim, for warnings.
+    pub path: String,
+    /// Local to world, at the frame.
+    pub transform: Matrix4d,
+    pub width: f32,
+    pub height: f32,
+}
+
+impl Default for Portal {
+    fn default() -> Self {
+        Self { path: String::new(), transform: IDENTITY, width: 1.0, height: 1.0 }
+    }
+}
+
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "camelCase", default)]
 pub struct Light {
@@ -110,6 +128,9 @@ pub struct Light {
     /// Light group, for AOVs; empty: none.
     #[serde(skip_serializing_if = "String::is_empty")]
     pub group: String,
+    /// Of a dome: they guide its samples.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub portals: Vec<Portal>,
 }
 
 impl Default for Light {
@@ -132,6 +153,7 @@ impl Default for Light {
             shadow: None,
             transform_keys: None,
             group: String::new(),
+            portals: Vec::new(),
         }
     }
 }

@@ -15,7 +15,7 @@ pub mod validate;
 
 pub use array::Array;
 pub use camera::{Camera, Projection};
-pub use light::{Ies, Light, LightShape, Shadow, Shaping};
+pub use light::{Ies, Light, LightShape, Portal, Shadow, Shaping};
 pub use material::{ChiangHair, Material, OpenPbrSurface, PreviewSurface, StandardSurface};
 pub use mesh::{
     AnyPrimvar, GeomSubset, IDENTITY, Image, Instancer, Interpolation, Matrix4d, Mesh, Orientation, Prims, Primvar,

@@ -81,7 +81,9 @@ pub(crate) fn scene() -> FlatScene {
         "/key".into(),
         Light { shaping: Some(Shaping::default()), ..light(LightShape::Sphere { radius: 0.5 }) },
     );
-    scene.lights.insert("/sky".into(), light(LightShape::Dome { texture: "/sky.exr".into(), pole_axis: "Y".into() }));
+    let sky = light(LightShape::Dome { texture: "/sky.exr".into(), pole_axis: "Y".into() });
+    let portals = vec![Portal { path: "/portal".into(), height: 2.0, ..Portal::default() }];
+    scene.lights.insert("/sky".into(), Light { portals, ..sky });
     scene
         .lights
         .insert("/window".into(), light(LightShape::Rect { width: 1.0, height: 2.0, texture: "/sky.exr".into() }));

@@ -2,8 +2,8 @@
 
 use super::{
     Light, Lights, area::AreaLight, bound::Bound, cylinder::Cylinder, disk::Disk, distant, distant::Distant,
-    dome::Dome, ellipsoid::Ellipsoid, emission::Emission, mesh::TriangleSet, motion::Motion, rect::Rect, shape::Shape,
-    texels::Texels, tree::Tree,
+    dome::Dome, ellipsoid::Ellipsoid, emission::Emission, mesh::TriangleSet, motion::Motion, portal::Portals,
+    rect::Rect, shape::Shape, texels::Texels, tree::Tree,
 };
 use crate::{
     error::Warning,
@@ -127,7 +127,8 @@ impl Compiler<'_> {
                     self.warn("inputs:shaping has no meaning on a dome: ignored".into());
                 }
                 let texels = self.texels(texture, true);
-                Ok(Light::Dome(Dome::new(&emission, texels, &placement, pole_axis)))
+                let portals = Portals::new(prim.portals.iter().filter_map(|portal| self.portal(portal)).collect());
+                Ok(Light::Dome(Dome::new(&emission, texels, &placement, pole_axis).guided(portals)))
             }
             shape => {
                 let texels = match shape {
@@ -169,6 +170,18 @@ impl Compiler<'_> {
             LightShape::Distant { .. } | LightShape::Dome { .. } => None,
         };
         built.ok_or_else(|| "its size and xformOps give a shape without area or out of range".into())
+    }
+
+    /// Of a dome, which shines without those that cannot be placed.
+    fn portal(&mut self, portal: &flat::Portal) -> Option<Rect> {
+        let placement = Affine::from_usd(&portal.transform, DVec3::ZERO, self.origin);
+        let rect = placement.and_then(|placement| Rect::new(&placement, portal.width, portal.height));
+        let sound = rect.filter(|rect| (SMALLEST_AREA..LARGEST_AREA).contains(&rect.area()));
+        if sound.is_none() {
+            let message = "its size and xformOps give no area or one out of range: it guides nothing";
+            self.warnings.push(Warning::new(&portal.path, message));
+        }
+        sound
     }
 
     /// The image of that key; without one, or without a usable one, the light is untextured.

@@ -59,7 +59,7 @@ impl LightsAt<'_> {
                 point(&area.shape, light, p, s.wi, &s.hit, chosen * s.pdf)
             }
             Light::Distant(distant) => Some(infinite(distant.sample(u), distant.is_delta())),
-            Light::Dome(dome) => Some(infinite(dome.sample(None, u), false)),
+            Light::Dome(dome) => Some(infinite(dome.sample(p, None, u)?, false)),
         };
         emitter.map(|emitter| emitter.moved(pose))
     }

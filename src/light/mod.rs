@@ -26,6 +26,7 @@ mod linking;
 mod mesh;
 mod motion;
 mod patch;
+mod portal;
 mod rect;
 mod shadow;
 mod shape;
@@ -171,6 +172,11 @@ impl Lights {
         })
     }
 
+    /// Domes with portals.
+    pub fn with_portals(&self) -> usize {
+        self.lights.iter().filter(|light| matches!(light, Light::Dome(dome) if dome.has_portals())).count()
+    }
+
     /// Lights that a ray which leaves the scene may see.
     pub fn infinite(&self) -> &[u32] {
         &self.infinite
@@ -208,10 +214,7 @@ impl LightsAt<'_> {
                 let s = distant.sample(u);
                 Some(infinite(s, distant.sampled_radiance(s.0), distant.is_delta()))
             }
-            Light::Dome(dome) => {
-                let s = dome.sample(n, u);
-                Some(infinite(s, dome.radiance(s.0), false))
-            }
+            Light::Dome(dome) => dome.sample(p, n, u).map(|s| infinite(s, dome.radiance(s.0), false)),
         };
         sample.map(|sample| LightSample { wi: to_time(pose.as_ref(), sample.wi), ..sample })
     }
@@ -260,11 +263,11 @@ impl LightsAt<'_> {
 
     /// Solid-angle pdf with which [`Self::sample`] gives direction `wi` to an infinite light, choice included.
     pub fn pdf_escaped(&self, light: u32, p: Vec3, n: Option<Vec3>, choice: Choice, wi: Vec3) -> f32 {
-        let (of_frame, pose, _, turned) = self.seen(light, p, n);
+        let (of_frame, pose, at, turned) = self.seen(light, p, n);
         let of_wi = to_frame(pose.as_ref(), wi);
         let pdf = match of_frame {
             Light::Distant(distant) => distant.pdf(of_wi),
-            Light::Dome(dome) => dome.pdf(turned, of_wi),
+            Light::Dome(dome) => dome.pdf(at, turned, of_wi),
             Light::Area(_) => 0.0,
         };
         if pdf > 0.0 { pdf * self.choice_probability(light, p, n, choice) } else { 0.0 }

@@ -43,6 +43,11 @@ impl Patch {
         (p - self.center).dot(self.normal) > 0.0
     }
 
+    /// Whether a part of the square x, y in [-1, 1] is above the horizon of p.
+    pub fn rises(&self, p: Vec3, n: Vec3) -> bool {
+        (self.center - p).dot(n) + self.u.dot(n).abs() + self.v.dot(n).abs() > 0.0
+    }
+
     /// (t, x, y) where a ray meets the plane from the emitting side.
     pub fn intersect(&self, o: Vec3, d: Vec3) -> Option<(f32, f32, f32)> {
         let (height, descent) = ((o - self.center).dot(self.normal), -d.dot(self.normal));

@@ -57,6 +57,18 @@ impl Rect {
         }
     }
 
+    /// As seen from p, which it faces; an estimate where it is not sampled by solid angle.
+    pub fn solid_angle(&self, p: Vec3) -> f64 {
+        self.spherical(p).map_or_else(|| self.far_solid_angle(p), |rect| rect.solid_angle)
+    }
+
+    /// As if all of it were at its centre, at most a half sphere.
+    fn far_solid_angle(&self, p: Vec3) -> f64 {
+        let to = (self.patch.center - p).as_dvec3();
+        let cos = -to.normalize().dot(self.patch.normal.as_dvec3());
+        (self.area() * cos / to.length_squared()).min(TAU)
+    }
+
     fn area_pdf(&self, wi: Vec3, t: f32) -> Option<f32> {
         solid_angle_pdf((1.0 / self.area()) as f32, t, -wi.dot(self.patch.normal))
     }

@@ -497,6 +497,7 @@ impl Builder<'_> {
         lights.link(&self.flat.lights, &categories);
         lights.group(&self.flat.settings.aovs, &self.flat.lights, self.warnings);
         self.needs.linked_lights = lights.linked() as u32;
+        self.needs.guided_domes = lights.with_portals() as u32;
         self.needs.shadow_rules = lights.ruled().count() as u32;
         categories.members()
     }

@@ -20,6 +20,8 @@ pub struct Needs {
     /// Lights that rays can hit (shapes and meshes) and those at infinity.
     pub mesh_lights: u32,
     pub infinite_lights: u32,
+    /// Domes with portals.
+    pub guided_domes: u32,
     /// Lights that do not light everything, and those with other shadows than the black ones of everything.
     pub linked_lights: u32,
     pub shadow_rules: u32,
@@ -202,6 +204,12 @@ impl Needs {
                 self.infinite_lights > 0,
                 count(self.infinite_lights, "dome or distant lights"),
                 "no dome, no distant light with an angle",
+            ),
+            line(
+                "portals",
+                self.guided_domes > 0,
+                count(self.guided_domes, "domes are sampled through portals, too"),
+                "no dome has portals",
             ),
             line(
                 "light linking",

@@ -162,6 +162,13 @@ def lamp_beside(lines: str = "") -> str:
     return light("RectLight", "Beside", f"float inputs:intensity = 5\n {lines}\n {place}")
 
 
+def dome_through(lines: str) -> str:
+    """A dome with a portal."""
+    return light("DomeLight", "Sky", f"{DOME}\n rel portals = </World/Gate>") + light(
+        "PortalLight", "Gate", lines
+    )
+
+
 def glowing(intensity: float) -> str:
     """A small ball beside the other one that is a light, or would be."""
     shines = f"color3f inputs:color = (1, 1, 1)\n float inputs:intensity = {intensity}"
@@ -213,6 +220,7 @@ def displaced(offset: float) -> str:
 IMAGE = "asset inputs:texture:file = @image.hdr@"
 """`driver.flatten` writes it beside the stage."""
 DOME = "float inputs:intensity = 0.5"
+GATE = 'double3 xformOp:translate = (0, 0, 5)\n uniform token[] xformOpOrder = ["xformOp:translate"]'
 INVISIBLE = 'token visibility = "invisible"'
 UNBOUND_IMAGE = """
     def Material "Unbound"
@@ -481,6 +489,21 @@ CAPABILITIES = (
             ),
         ),
         against_plain("a plain dome beside the lamp", lit(light("DomeLight", "Sky", DOME))),
+    ),
+    Capability(
+        "portals",
+        Compared(
+            "a dome with an invisible portal",
+            lit(dome_through(INVISIBLE)),
+            lit(light("DomeLight", "Sky", DOME)),
+            "a dome",
+        ),
+        Compared(
+            "a dome with a portal",
+            lit(dome_through(GATE)),
+            lit(light("DomeLight", "Sky", DOME)),
+            "a dome",
+        ),
     ),
     Capability(
         "light linking",

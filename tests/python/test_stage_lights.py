@@ -118,7 +118,6 @@ def test_damaged_values_become_defaults(flat):
         ("RectLight", "    rel light:filters = </F>", "", "light:filters"),
         ("DomeLight", "    rel portals = </F>", "", "portals"),
         ("DomeLight", '    token inputs:texture:format = "folded"', "", "plain colour"),
-        ("PortalLight", "", "", "PortalLight is not supported"),
         ("GeometryLight", "", "", "GeometryLight is not supported"),
         ("PluginLight", "", "", "PluginLight is not supported"),
         ("LightFilter", "", "", "LightFilter is not supported"),

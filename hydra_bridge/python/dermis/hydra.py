@@ -174,7 +174,7 @@ class Delegate:
         below it.
 
         Of a prim of a stage, the materials and textures it uses come along where `dirty_bits` has
-        MATERIAL_ID or PARAMS. `time` and `options` are for prims of a stage only.
+        MATERIAL_ID or PARAMS; of portals the domes that name them. `time` and `options` are for prims of a stage only.
         """
         if isinstance(prim, Usd.Prim):
             self._sync_stage_prim(path, prim, DirtyBits(dirty_bits), time, options)
@@ -189,7 +189,7 @@ class Delegate:
         for key, fields in flat.prims.items():
             if key == root or key.startswith((root + "/", root + "[", root + ".")):
                 self.core.sync(path + key[len(root) :], *encode(fields), int(bits))
-            elif bits & (DirtyBits.MATERIAL_ID | DirtyBits.PARAMS):
+            elif fields["type"] == "Light" or bits & (DirtyBits.MATERIAL_ID | DirtyBits.PARAMS):
                 self.core.sync(key, *encode(fields), int(DirtyBits.ALL))
         for warning in flat.warnings:
             self.core.warn(*warning)

@@ -6,6 +6,7 @@ from pxr import Usd, UsdGeom, UsdLux
 
 from .dome_layout import LAYOUTS, to_latlong
 from .ies import flatten_profile
+from .portal import portals
 from .reading import Reader
 from .texture import flatten_texture
 
@@ -18,7 +19,7 @@ LIGHT_TYPES = (
     "DomeLight",
     "DomeLight_1",
 )
-UNSUPPORTED_LIGHTS = ("PortalLight", "GeometryLight", "PluginLight", "PluginLightFilter", "LightFilter")
+UNSUPPORTED_LIGHTS = ("GeometryLight", "PluginLight", "PluginLightFilter", "LightFilter")
 
 Fields = dict[str, Any]
 
@@ -32,6 +33,7 @@ def flatten_light(
     Decoded images are added to `textures`; None: the light is not rendered, so its image is not read.
     """
     is_dome = kind.startswith("DomeLight")
+    found = portals(prim, reader) if is_dome else []
     light = {
         "type": "Light",
         "cameraVisible": reader.value(prim, "inputs:visibility:camera", domes_visible and is_dome),
@@ -40,6 +42,7 @@ def flatten_light(
         "shadow": shadow(prim, reader),
         "shape": shape(prim, kind, reader, textures),
         **group(prim, reader),
+        **({"portals": found} if found else {}),
     }
     warn_ignored(prim, reader)
     return light
@@ -183,7 +186,8 @@ def pole(prim: Usd.Prim, kind: str, reader: Reader) -> str:
 def warn_ignored(prim: Usd.Prim, reader: Reader) -> None:
     """One warning with everything of this light that is not rendered."""
     ignored = [name for name in ("inputs:diffuse", "inputs:specular") if reader.value(prim, name, 1.0) != 1.0]
-    ignored += [rel for rel in ("light:filters", "portals") if targets(prim, rel)]
+    if targets(prim, "light:filters"):
+        ignored.append("light:filters")
     if ignored:
         reader.warn(prim, f"{', '.join(ignored)}: not supported yet; ignored")
 

@@ -19,6 +19,7 @@ from .graph import primvars_read
 from .images import load_image
 from .material import flatten_material
 from .motion import Scene, Shutter, add_motion
+from .portal import domes_through
 from .products import Product, flatten_products
 from .reading import Reader, Report, usd_words
 from .settings import (
@@ -154,8 +155,8 @@ def flatten(
 def flatten_prim(
     prim: Usd.Prim, time: Usd.TimeCode | float | None = None, options: Options | None = None
 ) -> FlatStage:
-    """One prim, what is below it, and the materials and textures these use; `stage` and `settings` stay
-    empty."""
+    """One prim, what is below it, the materials and textures these use, and the domes whose portals are among them;
+    `stage` and `settings` stay empty."""
     options = options or Options()
     reader = Reader(first_time(prim.GetStage()) if time is None else Usd.TimeCode(time), Report())
     reader.primvars = tuple(sorted(primvars_read(prim.GetStage()) | {"st"}))
@@ -175,6 +176,8 @@ def flatten_prim(
         emitter = Emitter(reader, binding, options.enable_dome_light_visibility, walk.links)
         flat.prims = emitter.emit(placements)
         sample_motion(flat, Scene(stage, reader, flat.purposes, binding, prim, placements), options, settings)
+        for dome in domes_through(prim):
+            flat.prims |= flatten_prim(dome, time, options).prims
     flat.warnings = reader.report.warnings
     return flat
 

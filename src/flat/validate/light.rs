@@ -4,7 +4,7 @@ use super::motion::check_keys;
 use super::report::{ANY, LARGEST, NOT_NEGATIVE, Report, UNIT, placement_fault};
 use crate::{
     error::Warning,
-    flat::{Camera, IDENTITY, Ies, Light, LightShape, Shadow, Shaping, Texture},
+    flat::{Camera, IDENTITY, Ies, Light, LightShape, Portal, Shadow, Shaping, Texture},
 };
 
 /// UsdLux gives light to a negative intensity, too; a path tracer has none to take away, so it counts as 0.
@@ -30,6 +30,7 @@ pub fn validate_light(path: &str, light: &mut Light, warnings: &mut Vec<Warning>
     if let Some(shadow) = &mut light.shadow {
         check_shadow(shadow, &mut report);
     }
+    light.portals.retain(|portal| is_portal(portal, &mut report));
     check_shape(light, &mut report);
     check_power(light, &mut report);
 }
@@ -59,6 +60,17 @@ fn is_profile(ies: &Ies) -> bool {
         && ascends(&ies.horizontal, 360.0)
         && ies.candela.len() == ies.vertical.len() * ies.horizontal.len()
         && ies.candela.iter().all(|c| (0.0..=LARGEST).contains(c))
+}
+
+fn is_portal(portal: &Portal, report: &mut Report) -> bool {
+    let sizes = [("inputs:width", portal.width), ("inputs:height", portal.height)];
+    let size = sizes.into_iter().find(|(_, size)| !(*size > 0.0 && *size <= LARGEST));
+    let fault = placement_fault(&portal.transform).map(|fault| format!("xformOpOrder: the transform {fault}"));
+    let fault = fault.or(size.map(|(name, size)| format!("{name} is {size}")));
+    if let Some(fault) = &fault {
+        report.warn_at(&portal.path, format!("{fault}, the portal guides nothing; author sizes and scales above 0"));
+    }
+    fault.is_none()
 }
 
 fn check_shadow(shadow: &mut Shadow, report: &mut Report) {

@@ -6,6 +6,7 @@ mod dropped;
 mod infinite;
 mod many;
 mod motion;
+mod portals;
 mod quadrature;
 mod shapes;
 
