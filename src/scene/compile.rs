@@ -1,6 +1,6 @@
 //! From the flattened scene to the compiled one: geometry is kept from commit to commit, the rest is cheap.
 
-use super::accel::{Aabb, Tlas};
+use super::accel::{Aabb, Tlas, give_back};
 use super::alike::alike;
 use super::company::companies;
 use super::displace::Displacement;
@@ -109,6 +109,9 @@ pub fn compile(flat: &FlatScene, kept: &mut Kept, warnings: &mut Vec<Warning>) -
         needs,
     };
     nesting::look_around(&mut scene, flat, warnings);
+    if blas_built > 0 {
+        give_back();
+    }
     let stats = CompileStats {
         blas_built,
         instances: scene.instances.len(),

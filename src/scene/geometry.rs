@@ -2,6 +2,7 @@
 
 use super::accel::{Aabb, Blas, ClosestPoint, Ray, TriHit};
 use super::displace::{Displacement, Surface};
+use super::edges::open_edges;
 use super::image::ImageCache;
 use super::motion::{Deformation, Keys};
 use super::strands::Strands;
@@ -231,18 +232,21 @@ impl Geometry {
             let moved = displacement.apply(&surface, images);
             (points, normals, not_displaced) = (moved.points, moved.normals, moved.not_finite);
         }
-        let blas = Blas::build(&points, if treeless { &[] } else { &soup.triangles });
+        let display_color = mesh.display_color.as_ref().map(|c| attribute(c, &soup, Vec3::from));
+        let Triangulation { triangles, corners, faces } = soup;
+        drop((corners, faces)); // a tree being built needs the room
+        let blas = Blas::build(&points, if treeless { &[] } else { &triangles });
         let closed = strands.as_ref().is_some_and(|strands| !strands.ribbons);
         Self {
             blas: if closed { blas.one_sided() } else { blas },
             normals,
-            display_color: mesh.display_color.as_ref().map(|c| attribute(c, &soup, Vec3::from)),
+            display_color,
             display_opacity: mesh.display_opacity.as_ref().and_then(|o| o.values.first().copied()).unwrap_or(1.0),
             primvars,
             strands,
             slots,
             points,
-            triangles: soup.triangles,
+            triangles,
             centre,
             deformation: None,
             refinement,
@@ -368,24 +372,7 @@ impl Geometry {
     /// Edges (between points welded by position) that do not join faces in pairs: what keeps the mesh from
     /// enclosing a volume. Asked only for meshes with a medium.
     pub fn open_edges(&self) -> usize {
-        let mut ids = rustc_hash::FxHashMap::default();
-        let welded: Vec<usize> = self
-            .points
-            .iter()
-            .map(|p| {
-                let next = ids.len();
-                // + 0.0 makes -0 and 0 one key.
-                *ids.entry((*p + Vec3::ZERO).to_array().map(f32::to_bits)).or_insert(next)
-            })
-            .collect();
-        let mut faces = rustc_hash::FxHashMap::<(usize, usize), u32>::default();
-        for triangle in &self.triangles {
-            let [a, b, c] = triangle.map(|i| welded[i as usize]);
-            for (i, j) in [(a, b), (b, c), (c, a)].into_iter().filter(|(i, j)| i != j) {
-                *faces.entry((i.min(j), i.max(j))).or_default() += 1;
-            }
-        }
-        faces.values().filter(|count| *count % 2 != 0).count()
+        open_edges(&self.points, &self.triangles)
     }
 }
 

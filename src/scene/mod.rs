@@ -6,6 +6,7 @@ mod company;
 mod compile;
 mod displace;
 mod driven;
+mod edges;
 mod enclosure;
 mod geometry;
 mod image;

@@ -3,12 +3,13 @@
 use super::Ray;
 use super::aabb::Aabb;
 use super::build::binary_tree;
-use super::collapse::collapse;
+use super::collapse::{collapse, node_bounds};
 use super::lanes::Lanes;
 use super::pages;
 use super::traverse::{Tree, Visitor};
 use super::triangle::{Crossing, Leaf, Shear, WIDTH};
 use glam::Vec3;
+use rayon::prelude::*;
 use std::borrow::Borrow;
 
 /// A ray's meeting with a triangle: the point is (1 - u - v) a + u b + v c.
@@ -33,18 +34,27 @@ pub struct Blas {
 /// No triangle has this index.
 const NONE: u32 = u32::MAX;
 
+/// Triangles for which it pays to ask another thread.
+const MANY: usize = 1 << 12;
+
 impl Blas {
     /// Triangles index `points`, both sides are hit. Those without area, with non-finite vertices or with indices out of
     /// range are never hit. At most 2^31 triangles.
     pub fn build(points: &[Vec3], triangles: &[[u32; 3]]) -> Self {
         let corner = |i: u32| points.get(i as usize).copied().unwrap_or(Vec3::NAN);
-        let boxes: Vec<Aabb> = triangles.iter().map(|t| Aabb::of_triangle(t.map(corner))).collect();
+        let of_triangle = |t: &[u32; 3]| Aabb::of_triangle(t.map(corner));
+        let boxes: Vec<Aabb> = triangles.par_iter().with_min_len(MANY).map(of_triangle).collect();
         let binary = binary_tree(&boxes, WIDTH);
-        let mut leaves = pages::with_capacity(binary.nodes.iter().filter(|node| node.is_leaf()).count());
-        let tree = collapse(&binary, &boxes, |ids| {
-            leaves.push(Leaf::of(ids, |id| triangles[id as usize].map(corner)));
-            leaves.len() as u32 - 1
+        let bounds = node_bounds(&binary, &boxes);
+        drop(boxes);
+        let mut kept = Vec::new();
+        let tree = collapse(&binary, bounds, |ids| {
+            kept.push(ids);
+            kept.len() as u32 - 1
         });
+        let mut leaves = pages::with_capacity(kept.len());
+        let leaf = |ids: &&[u32]| Leaf::of(ids, |id| triangles[id as usize].map(corner));
+        kept.par_iter().with_min_len(MANY / WIDTH).map(leaf).collect_into_vec(&mut leaves);
         Self { tree, leaves, one_sided: false }
     }
 

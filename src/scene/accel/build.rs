@@ -1,11 +1,13 @@
-//! The binary tree, by obvhs: PLOC clustering (Meister, Bittner 2018), collapse of leaves by the surface area
-//! heuristic, then reinsertion (Meister, Bittner 2018, "Parallel Reinsertion").
+//! The binary tree, by obvhs: PLOC clustering (Meister, Bittner 2018) of chunks that are cut apart where there are many
+//! boxes (`cut`), collapse of leaves by the surface area heuristic, then reinsertion (Meister, Bittner 2018, "Parallel
+//! Reinsertion").
 //!
 //! obvhs sees *guide* boxes only, made so that no input hangs it or makes it panic; `collapse` computes the boxes
 //! that rays are tested against.
 
 use super::aabb::Aabb;
-use glam::{DVec3, Vec3};
+use super::cut::cut;
+use super::guide::Guides;
 use obvhs::bvh2::{Bvh2, node::Bvh2Node, reinsertion::ReinsertionOptimizer};
 use obvhs::ploc::{PlocBuilder, PlocSearchDistance, SortPrecision};
 
@@ -25,16 +27,80 @@ const DEEP: usize = 512;
 const SAMPLE: usize = 2048;
 const NESTED: usize = 64;
 
+/// Boxes that are clustered together, at most: their tree fits in the processor's cache, and others are clustered at
+/// the same time. A number of its own, not of threads: the tree is the same for any number of them.
+const CHUNK: usize = 1 << 16;
+
 /// Topology over `boxes` with at most `leaf_size` of them in a leaf. The boxes of its nodes are not conservative.
 pub(super) fn binary_tree(boxes: &[Aabb], leaf_size: usize) -> Bvh2 {
-    let mut guides = guide_boxes(boxes);
-    if nested(&guides) {
-        guides.iter_mut().for_each(|b| *b = obvhs::aabb::Aabb::from_point(b.center()));
-    }
-    let mut tree = ploc(&guides);
-    merge_leaves(&mut tree, leaf_size as u32);
+    let mut guides = Guides::new(boxes);
+    guides.shrunk = nested(&guides);
+    let mut ids = Vec::from_iter(0..boxes.len() as u32);
+    let grown = grow(&guides, &mut ids, leaf_size as u32);
+    drop(ids);
+    let mut tree = grown.joined();
     reinsert(&mut tree);
     tree
+}
+
+/// Trees of chunks, and how they were cut apart.
+enum Grown {
+    Chunk(Bvh2),
+    Pair(Box<[Grown; 2]>),
+}
+
+/// The tree of the boxes `ids`, which end up in another order.
+fn grow(guides: &Guides, ids: &mut [u32], leaf_size: u32) -> Grown {
+    if ids.len() <= CHUNK {
+        let mut tree = ploc(&Vec::from_iter(ids.iter().map(|&i| guides.get(i))));
+        merge_leaves(&mut tree, ids, leaf_size);
+        return Grown::Chunk(tree);
+    }
+    let middle = cut(guides, ids);
+    let (left, right) = ids.split_at_mut(middle);
+    let (left, right) = rayon::join(|| grow(guides, left, leaf_size), || grow(guides, right, leaf_size));
+    Grown::Pair(Box::new([left, right]))
+}
+
+impl Grown {
+    fn root(&self) -> obvhs::aabb::Aabb {
+        match self {
+            Self::Chunk(tree) => *tree.nodes[0].aabb(),
+            Self::Pair(pair) => pair[0].root().union(&pair[1].root()),
+        }
+    }
+
+    /// One tree, level by level: reinsertion takes its candidates from the front, where they should be large.
+    fn joined(self) -> Bvh2 {
+        if let Self::Chunk(tree) = self {
+            return tree;
+        }
+        let mut from = vec![(&self, 0)];
+        let (mut nodes, mut primitive_indices) = (Vec::new(), Vec::new());
+        while let Some(&(grown, i)) = from.get(nodes.len()) {
+            let below = from.len() as u32;
+            nodes.push(match grown {
+                Self::Pair(pair) => {
+                    from.extend(pair.iter().map(|grown| (grown, 0)));
+                    Bvh2Node::new(grown.root(), 0, below)
+                }
+                Self::Chunk(tree) => {
+                    let mut node = tree.nodes[i];
+                    let first = node.first_index as usize;
+                    if node.is_leaf() {
+                        node.first_index = primitive_indices.len() as u32;
+                        let last = first + node.prim_count as usize;
+                        primitive_indices.extend_from_slice(&tree.primitive_indices[first..last]);
+                    } else {
+                        node.first_index = below;
+                        from.extend([(grown, first), (grown, first + 1)]);
+                    }
+                    node
+                }
+            });
+        }
+        Bvh2 { nodes, primitive_indices, ..Bvh2::default() }
+    }
 }
 
 fn ploc(guides: &[obvhs::aabb::Aabb]) -> Bvh2 {
@@ -45,7 +111,8 @@ fn ploc(guides: &[obvhs::aabb::Aabb]) -> Bvh2 {
 
 /// Joins leaves where one larger leaf costs a ray no more, by the surface area heuristic; as obvhs' own
 /// `leaf_collapser`, but in two sweeps over the nodes in place of climbing from every leaf.
-fn merge_leaves(tree: &mut Bvh2, leaf_size: u32) {
+/// Primitives are named by their `ids`.
+fn merge_leaves(tree: &mut Bvh2, ids: &[u32], leaf_size: u32) {
     debug_assert!(tree.children_are_ordered_after_parents);
     let nodes = &tree.nodes;
     // Primitives of what is to be a leaf; 0: an inner node.
@@ -58,7 +125,7 @@ fn merge_leaves(tree: &mut Bvh2, leaf_size: u32) {
             merged_size(nodes, i, [size[first], size[first + 1]], leaf_size)
         };
     }
-    // Level by level: reinsertion takes its candidates from the front, where they should be large.
+    // Level by level, as `joined` and reinsertion have it.
     let mut from = Vec::from_iter((!nodes.is_empty()).then_some(0));
     let (mut merged, mut primitives) = (Vec::new(), Vec::with_capacity(tree.primitive_indices.len()));
     while let Some(&old) = from.get(merged.len()) {
@@ -73,6 +140,7 @@ fn merge_leaves(tree: &mut Bvh2, leaf_size: u32) {
         }
         merged.push(node);
     }
+    primitives.iter_mut().for_each(|i| *i = ids[*i as usize]);
     (tree.nodes, tree.primitive_indices) = (merged, primitives);
 }
 
@@ -102,9 +170,10 @@ fn merged_size(nodes: &[Bvh2Node], i: usize, [left, right]: [u32; 2], leaf_size:
 
 /// Whether much of the input is boxes within boxes within boxes, like an onion: each prefers the next smaller one,
 /// and PLOC takes n passes for a chain of n. A sample of it is a chain too. Centres then have to do.
-fn nested(guides: &[obvhs::aabb::Aabb]) -> bool {
-    let stride = guides.len() / SAMPLE;
-    stride > 0 && depth(&ploc(&Vec::from_iter(guides.iter().step_by(stride).copied()))) > NESTED
+fn nested(guides: &Guides) -> bool {
+    let stride = guides.boxes.len() / SAMPLE;
+    let sample = || (0..guides.boxes.len() as u32).step_by(stride).map(|i| guides.get(i));
+    stride > 0 && depth(&ploc(&Vec::from_iter(sample()))) > NESTED
 }
 
 /// One pass at a time: obvhs' search panics when its stack of 2 `max_depth` is too small, and every pass may deepen
@@ -134,44 +203,4 @@ fn depth(tree: &Bvh2) -> usize {
         }
     }
     deepest
-}
-
-/// The boxes scaled into [-1, 1]^3 and grown by a little noise.
-///
-/// Scaled and clamped, because the areas of huge or infinite boxes overflow and obvhs unwraps comparisons of them.
-/// Noise, because PLOC merges pairs that prefer each other, and among equal boxes or equally spaced ones (a
-/// million copies, a row of posts) ties make everyone prefer the right neighbour: one merge per pass, n passes.
-fn guide_boxes(boxes: &[Aabb]) -> Vec<obvhs::aabb::Aabb> {
-    let (centre, scale) = frame(boxes);
-    let map = |p: Vec3| ((p.as_dvec3() - centre) * scale).clamp(DVec3::NEG_ONE, DVec3::ONE).as_vec3();
-    let guide = |(i, b): (usize, &Aabb)| {
-        let (min, max) = if b.is_empty() { (Vec3::ZERO, Vec3::ZERO) } else { (map(b.min), map(b.max)) };
-        // Small against the box; for points at least a few roundings of numbers near 1.
-        let size = (max - min).max_element() * 2.0_f32.powi(-12) + 4.0 * f32::EPSILON;
-        let [low, high] = noise(i as u64);
-        obvhs::aabb::Aabb::new((min - low * size).into(), (max + high * size).into())
-    };
-    boxes.iter().enumerate().map(guide).collect()
-}
-
-/// Centre and inverse half size of the finite part of all boxes.
-fn frame(boxes: &[Aabb]) -> (DVec3, f64) {
-    let finite = boxes.iter().flat_map(|b| [b.min, b.max]).filter(|p| p.is_finite());
-    let all = Aabb::from_points(finite);
-    if all.is_empty() {
-        return (DVec3::ZERO, 1.0);
-    }
-    let (min, max) = (all.min.as_dvec3(), all.max.as_dvec3());
-    let half = (max - min).max_element() * 0.5;
-    ((min + max) * 0.5, if half > 0.0 { 1.0 / half } else { 1.0 })
-}
-
-/// Six numbers in [0, 1), ten bits each, from SplitMix64's finalizer (Steele et al. 2014).
-fn noise(i: u64) -> [Vec3; 2] {
-    let mut z = (i + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^= z >> 31;
-    let u = |k: u32| ((z >> (10 * k)) & 1023) as f32 / 1024.0;
-    [Vec3::new(u(0), u(1), u(2)), Vec3::new(u(3), u(4), u(5))]
 }

@@ -5,13 +5,13 @@ use super::lanes::Isa;
 use super::node::{LEAF, Node};
 use super::pages;
 use super::traverse::Tree;
-use obvhs::bvh2::Bvh2;
+use obvhs::bvh2::{Bvh2, node::Bvh2Node};
+use rayon::prelude::*;
 
 /// Gives each node the up to eight largest subtrees below it (Wald et al. 2008: open the child of largest area
 /// until eight are found). `leaf` stores a leaf's primitives and returns its index. No recursion: degenerate
-/// trees are deep.
-pub(super) fn collapse(binary: &Bvh2, boxes: &[Aabb], mut leaf: impl FnMut(&[u32]) -> u32) -> Tree {
-    let bounds = node_bounds(binary, boxes);
+/// trees are deep. `bounds` are the [`node_bounds`], which large trees free before they store their leaves.
+pub(super) fn collapse<'a>(binary: &'a Bvh2, bounds: Vec<Aabb>, mut leaf: impl FnMut(&'a [u32]) -> u32) -> Tree {
     let mut nodes = pages::with_capacity(binary.nodes.len() / 8 + 1); // most often enough
     nodes.push(Node::EMPTY);
     // Subtrees whose node is still to be made, with the node and slot to hang it on.
@@ -29,13 +29,13 @@ pub(super) fn collapse(binary: &Bvh2, boxes: &[Aabb], mut leaf: impl FnMut(&[u32
 }
 
 /// Fills the last of `nodes` with the children that `subtree` gives it.
-fn fill(
-    binary: &Bvh2,
+fn fill<'a>(
+    binary: &'a Bvh2,
     bounds: &[Aabb],
     subtree: usize,
     nodes: &mut [Node],
     open: &mut Vec<(usize, usize, usize)>,
-    leaf: &mut impl FnMut(&[u32]) -> u32,
+    leaf: &mut impl FnMut(&'a [u32]) -> u32,
 ) {
     let index = nodes.len() - 1;
     let (found, count) = children(binary, bounds, subtree);
@@ -73,17 +73,16 @@ fn children(binary: &Bvh2, bounds: &[Aabb], subtree: usize) -> ([usize; 8], usiz
 }
 
 /// Boxes of all binary nodes from those of the primitives.
-fn node_bounds(binary: &Bvh2, boxes: &[Aabb]) -> Vec<Aabb> {
-    let mut bounds = vec![Aabb::EMPTY; binary.nodes.len()];
-    for i in parents_first(binary).into_iter().rev() {
-        let node = &binary.nodes[i];
+pub(super) fn node_bounds(binary: &Bvh2, boxes: &[Aabb]) -> Vec<Aabb> {
+    let of_leaf = |node: &Bvh2Node| {
         let first = node.first_index as usize;
-        bounds[i] = if node.is_leaf() {
-            let primitives = &binary.primitive_indices[first..first + node.prim_count as usize];
-            primitives.iter().fold(Aabb::EMPTY, |b, &p| b.union(&boxes[p as usize]))
-        } else {
-            bounds[first].union(&bounds[first + 1])
-        };
+        let range = if node.is_leaf() { first..first + node.prim_count as usize } else { 0..0 };
+        binary.primitive_indices[range].iter().fold(Aabb::EMPTY, |b, &p| b.union(&boxes[p as usize]))
+    };
+    let mut bounds: Vec<Aabb> = binary.nodes.par_iter().with_min_len(1 << 12).map(of_leaf).collect();
+    for i in parents_first(binary).into_iter().rev().filter(|&i| !binary.nodes[i].is_leaf()) {
+        let first = binary.nodes[i].first_index as usize;
+        bounds[i] = bounds[first].union(&bounds[first + 1]);
     }
     bounds
 }

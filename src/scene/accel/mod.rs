@@ -14,6 +14,8 @@ pub mod aabb;
 mod blas;
 mod build;
 mod collapse;
+mod cut;
+mod guide;
 mod lanes;
 mod moving;
 mod nearest;
@@ -30,6 +32,7 @@ pub use aabb::Aabb;
 pub use blas::{Blas, TriHit};
 pub use moving::{MovingBlas, between};
 pub use nearest::ClosestPoint;
+pub use pages::give_back;
 pub use tlas::Tlas;
 
 use glam::Vec3;

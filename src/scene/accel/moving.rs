@@ -7,7 +7,7 @@ use super::Ray;
 use super::aabb::Aabb;
 use super::blas::{Both, Front, Leaves, TriHit, any, closest};
 use super::build::binary_tree;
-use super::collapse::collapse;
+use super::collapse::{collapse, node_bounds};
 use super::nearest::{ClosestPoint, closest_point_under};
 use super::traverse::Tree;
 use super::triangle::{Leaf, WIDTH};
@@ -39,7 +39,7 @@ impl MovingBlas {
         let boxes: Vec<Aabb> = triangles.iter().map(|t| swept([0, 1].map(|k| t.map(|i| corner(k, i))))).collect();
         let binary = binary_tree(&boxes, WIDTH);
         let mut leaves = Vec::new();
-        let tree = collapse(&binary, &boxes, |ids| {
+        let tree = collapse(&binary, node_bounds(&binary, &boxes), |ids| {
             leaves.push([0, 1].map(|k| Leaf::of(ids, |id| triangles[id as usize].map(|i| corner(k, i)))));
             leaves.len() as u32 - 1
         });

@@ -286,3 +286,21 @@ fn moving_triangles_are_those_of_their_time() {
         assert!(hits > 100);
     }
 }
+
+/// Two chunks and more, some of them of points in one place.
+#[test]
+fn trees_of_many_chunks_agree_with_brute_force() {
+    let random = &mut Sampler::new(3, 1, 4);
+    let mut triangles = soup(100_000, 0.01, random);
+    triangles.extend(vec![triangles[7]; 70_000]);
+    triangles.extend(vec![[Vec3::NAN; 3]; 10_000]);
+    let many = blas(&triangles);
+    for ray in rays(&triangles, 40, random) {
+        let hit = many.closest(&ray);
+        assert_eq!(hit, brute(&triangles, &ray, u32::MAX), "{ray:?}");
+        assert_eq!(many.any(&ray), hit.is_some(), "{ray:?}");
+    }
+    let alone = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    let again = alone.install(|| blas(&triangles));
+    assert_eq!(format!("{:?}", many.tree), format!("{:?}", again.tree), "another tree by one thread");
+}

@@ -3,7 +3,7 @@
 use super::Ray;
 use super::aabb::Aabb;
 use super::build::binary_tree;
-use super::collapse::collapse;
+use super::collapse::{collapse, node_bounds};
 use super::lanes::Lanes;
 use super::traverse::{Tree, Visitor};
 use super::triangle::Shear;
@@ -20,7 +20,8 @@ impl Tlas {
     /// Boxes may overlap, coincide, be infinite or empty (the last are never visited). At most 2^31.
     pub fn build(boxes: &[Aabb]) -> Self {
         let only = (boxes.len() == 1 && !boxes[0].is_empty()).then_some(0);
-        Self { tree: collapse(&binary_tree(boxes, 1), boxes, |ids| ids[0]), only }
+        let binary = binary_tree(boxes, 1);
+        Self { tree: collapse(&binary, node_bounds(&binary, boxes), |ids| ids[0]), only }
     }
 
     /// Visits the boxes that the ray meets in (0, t_max), about nearest first (a single one in any case); `visit` gets the index of a box,
