@@ -27,8 +27,9 @@ const DEEP: usize = 512;
 const SAMPLE: usize = 2048;
 const NESTED: usize = 64;
 
-/// Boxes that are clustered together, at most: their tree fits in the processor's cache, and others are clustered at
-/// the same time. A number of its own, not of threads: the tree is the same for any number of them.
+/// More boxes than `LARGE` are cut into chunks of at most `CHUNK`, which are clustered side by side: what that holds
+/// meanwhile is small. Numbers of their own, not of threads: the tree is the same for any number of them.
+const LARGE: usize = 1 << 20;
 const CHUNK: usize = 1 << 16;
 
 /// Topology over `boxes` with at most `leaf_size` of them in a leaf. The boxes of its nodes are not conservative.
@@ -36,7 +37,8 @@ pub(super) fn binary_tree(boxes: &[Aabb], leaf_size: usize) -> Bvh2 {
     let mut guides = Guides::new(boxes);
     guides.shrunk = nested(&guides);
     let mut ids = Vec::from_iter(0..boxes.len() as u32);
-    let grown = grow(&guides, &mut ids, leaf_size as u32);
+    let chunk = if boxes.len() > LARGE { CHUNK } else { LARGE };
+    let grown = grow(&guides, &mut ids, leaf_size as u32, chunk);
     drop(ids);
     let mut tree = grown.joined();
     reinsert(&mut tree);
@@ -50,15 +52,15 @@ enum Grown {
 }
 
 /// The tree of the boxes `ids`, which end up in another order.
-fn grow(guides: &Guides, ids: &mut [u32], leaf_size: u32) -> Grown {
-    if ids.len() <= CHUNK {
+fn grow(guides: &Guides, ids: &mut [u32], leaf_size: u32, chunk: usize) -> Grown {
+    if ids.len() <= chunk {
         let mut tree = ploc(&Vec::from_iter(ids.iter().map(|&i| guides.get(i))));
         merge_leaves(&mut tree, ids, leaf_size);
         return Grown::Chunk(tree);
     }
     let middle = cut(guides, ids);
     let (left, right) = ids.split_at_mut(middle);
-    let (left, right) = rayon::join(|| grow(guides, left, leaf_size), || grow(guides, right, leaf_size));
+    let (left, right) = rayon::join(|| grow(guides, left, leaf_size, chunk), || grow(guides, right, leaf_size, chunk));
     Grown::Pair(Box::new([left, right]))
 }
 
