@@ -181,7 +181,7 @@ def test_a_flattened_file_reads_as_it_was_written(tmp_path, sky):
     assert read.prims.keys() == flat.prims.keys()
     for path, prim in flat.prims.items():
         for name, value in prim.items():
-            if not isinstance(value, dict):
+            if value is not None and not isinstance(value, dict):
                 close(read.prims[path][name], value)
     assert read.settings["resolution"] == [WIDTH, HEIGHT]
     assert (

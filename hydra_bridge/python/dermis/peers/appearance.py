@@ -79,6 +79,8 @@ def view_of(flat: FlatStage) -> View:
     moving = [key for key, prim in flat.prims.items() if "transformKeys" in prim or "pointKeys" in prim]
     still = bool(settings.get("disableMotionBlur")) or not moving
     require(still, moving[0] if moving else path, "shutter:open, shutter:close", "motion blur")
+    space = settings.get("renderingColorSpace", "")
+    require(space in ("", "lin_rec709_scene"), path, "renderingColorSpace", space)
     policy = settings.get("aspectRatioConformPolicy", "expandAperture")
     require(policy == "expandAperture", path, "aspectRatioConformPolicy", policy)
     aspect = settings.get("pixelAspectRatio", 1.0)
@@ -152,6 +154,10 @@ def surface_of(flat: FlatStage, mesh: Fields) -> tuple[Fields, str]:
     require(authored["shader"] == "UsdPreviewSurface", path, "shader", authored["shader"])
     driven = ", ".join(authored.get("network", {}).get("inputs", ()))
     require(not driven, path, "a network that drives", driven)
+    displaced = bool(authored.get("displacement", {}).get("inputs"))
+    require(not displaced, path, "displacement", "a network")
+    for name in ("subsurfaceSet", "mediumPriority"):
+        require(not mesh.get(name), path, f"primvars:dermis:{name}", mesh.get(name))
     material = {**DEFAULTS, **{name: value for name, value in authored.items() if value is not None}}
     for name in ("metallic", "clearcoat"):
         require(material[name] == 0.0, path, name, material[name])
@@ -223,6 +229,9 @@ def lights_of(flat: FlatStage) -> dict[str, Fields]:
     """Lights that shine, by path."""
     found = {path: prim for path, prim in flat.prims.items() if prim["type"] == "Light" and prim["visible"]}
     for path, prim in found.items():
+        for name in ("lightLink", "shadowLink", "shadow"):
+            require(not prim.get(name), path, name, "a collection or a rule")
+        require(not (prim.get("shaping") or {}).get("ies"), path, "shaping:ies:file", "a profile")
         require(
             not prim["shape"].get("texture") or prim["shape"]["kind"] == "dome", path, "texture on a", "light"
         )

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..stage import FlatStage
 
-VERSION = 2
+VERSION = 3
 HEADER = struct.Struct("<6sHQQQ")
 TEXT_AT = 64
 ENTRY = struct.Struct("<IIQQQ")
