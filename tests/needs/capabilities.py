@@ -59,9 +59,12 @@ def moved(x: float, y: float = 0.0) -> str:
     """
 
 
-def pip(x: float) -> str:
+INVISIBLE = 'token visibility = "invisible"'
+
+
+def pip(x: float, lines: str = "") -> str:
     """A small opaque ball: within the large one, or beside it."""
-    return LAMP + ball("Pip", "/World/Plain", moved(x), 0.3) + material("Plain", OPAQUE)
+    return LAMP + ball("Pip", "/World/Plain", moved(x) + lines, 0.3) + material("Plain", OPAQUE)
 
 
 SET = 'token primvars:dermis:subsurfaceSet = "one"'
@@ -72,13 +75,13 @@ def neighbour(lines: str = "") -> str:
     return LAMP + ball("Neighbour", "/World/Look", moved(1.2) + lines)
 
 
-def tank(y: float) -> str:
+def tank(y: float, lines: str = "") -> str:
     """A ball of thin grey air: around the camera, or far above."""
     air = medium("indexMatched", radius=(1e3, 1e3, 1e3), more="color3f inputs:subsurfaceAlbedo = (0, 0, 0)")
-    return LAMP + ball("Tank", "/World/Air", moved(0.0, y), 20.0) + material("Air", air)
+    return LAMP + ball("Tank", "/World/Air", moved(0.0, y) + lines, 20.0) + material("Air", air)
 
 
-def twin(turned: float = 0.0) -> str:
+def twin(turned: float = 0.0, lines: str = "") -> str:
     """Two more balls of the medium, instances of one: lit alike unless one of them is turned."""
     orientation = f"({math.cos(math.radians(turned / 2))}, 0, 0, {math.sin(math.radians(turned / 2))})"
     return (
@@ -86,6 +89,7 @@ def twin(turned: float = 0.0) -> str:
     def PointInstancer "Twins"
     {{
         rel prototypes = </World/Twins/One>
+        {lines}
         int[] protoIndices = [0, 0]
         point3f[] positions = [(2.1, 0, 0), (-2.1, 0, 0)]
         quath[] orientations = [(1, 0, 0, 0), {orientation}]
@@ -221,7 +225,6 @@ IMAGE = "asset inputs:texture:file = @image.hdr@"
 """`driver.flatten` writes it beside the stage."""
 DOME = "float inputs:intensity = 0.5"
 GATE = 'double3 xformOp:translate = (0, 0, 5)\n uniform token[] xformOpOrder = ["xformOp:translate"]'
-INVISIBLE = 'token visibility = "invisible"'
 UNBOUND_IMAGE = """
     def Material "Unbound"
     {
@@ -330,9 +333,9 @@ CAPABILITIES = (
     Capability(
         "media with objects in them",
         Compared(
-            "a ball in a diffuse boundary",
-            replace(CLASSICAL, world=pip(0.2)),
-            replace(CLASSICAL, world=pip(2.0)),
+            "an invisible ball in an index-matched medium",
+            replace(CLASSICAL, look=medium("indexMatched"), world=pip(0.2, INVISIBLE)),
+            replace(CLASSICAL, look=medium("indexMatched"), world=pip(2.0, INVISIBLE)),
             "the ball aside",
         ),
         Compared(
@@ -355,9 +358,9 @@ CAPABILITIES = (
     Capability(
         "shared boundary caches",
         Compared(
-            "two bodies beside a near lamp",
-            replace(WAX, world=LAMP + TWIN),
-            replace(WAX, world=LAMP + twin(90.0)),
+            "two invisible bodies under a dome",
+            replace(WAX, world=SKY + twin(0.0, INVISIBLE)),
+            replace(WAX, world=SKY + twin(90.0, INVISIBLE)),
             "one of them turned",
         ),
         Compared(
@@ -369,7 +372,12 @@ CAPABILITIES = (
     ),
     Capability(
         "camera in a medium",
-        Compared("it is beside one", replace(PLAIN, world=tank(60.0)), PLAIN, "no medium"),
+        Compared(
+            "in an invisible one",
+            replace(PLAIN, world=tank(0.0, INVISIBLE)),
+            replace(PLAIN, world=tank(60.0, INVISIBLE)),
+            "it is beside it",
+        ),
         Compared(
             "in thin index-matched air",
             replace(PLAIN, world=tank(0.0)),
