@@ -3,6 +3,7 @@
 Whites are adapted (all of usd-core's spaces have D65 white): white light stays white.
 """
 
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
@@ -13,14 +14,32 @@ from pxr import Gf, Sdf, Usd
 REC709 = "lin_rec709_scene"
 """What colours are in that say nothing, and what is rendered in without `renderingColorSpace`."""
 
+#: Names of other programs for spaces of usd-core.
+ALIASES = {
+    "sRGB": "srgb_rec709_scene",
+    "srgb": "srgb_rec709_scene",
+    "srgb_texture": "srgb_rec709_scene",
+    "lin_srgb": REC709,
+    "acescg": "lin_ap1_scene",
+    "ACEScg": "lin_ap1_scene",
+}
+
+#: Names for values that are no colours, beside those that usd-core has.
+DATA = ("raw", "Raw", "data", "none")
+
 
 def known(name: str) -> Gf.ColorSpace | None:
     """A space by usd-core's name or alias, with or without `_scene`; None for data and for what it does not know."""
-    for spelled in (name, f"{name}_scene"):
+    for spelled in (ALIASES.get(name, name), f"{name}_scene"):
         if Gf.ColorSpace.IsValid(spelled):
             space = Gf.ColorSpace(spelled)
             return None if space.IsData() else space
     return None
+
+
+def is_data(name: str) -> bool:
+    """Whether values in a space of that name are no colours."""
+    return name in DATA or (Gf.ColorSpace.IsValid(name) and Gf.ColorSpace(name).IsData())
 
 
 def linear_name(name: str) -> str | None:
@@ -76,8 +95,11 @@ def chromaticities(name: str) -> list[float]:
 class Colors:
     """Brings authored colours to the space `rendering`."""
 
-    def __init__(self, rendering: str = REC709) -> None:
+    def __init__(
+        self, rendering: str = REC709, warn: Callable[[Usd.Prim, str], None] = lambda prim, message: None
+    ) -> None:
         self.rendering = rendering
+        self._warn = warn
         self._spaces = Usd.ColorSpaceHashCache()
 
     def from_rec709(self, rgb: Any) -> tuple[float, ...]:
@@ -89,7 +111,16 @@ class Colors:
         if attribute.GetTypeName().role != Sdf.ValueRoleNames.Color:
             return None
         name = str(Usd.ColorSpaceAPI.ComputeColorSpaceName(attribute, self._spaces))
-        return known(name) if name not in ("", "auto") else Gf.ColorSpace(REC709)
+        if name in ("", "auto"):
+            return Gf.ColorSpace(REC709)
+        space = known(name)
+        if space is None and not is_data(name):
+            self._warn(
+                attribute.GetPrim(),
+                f"{attribute.GetName()}: colorSpace '{name}' is not known to usd-core; linear Rec.709 is used",
+            )
+            return Gf.ColorSpace(REC709)
+        return space
 
     def of(self, attribute: Usd.Attribute, values: NDArray) -> NDArray:
         """Values (..., 3 or 4) of an attribute in the rendering space; the same array where nothing changes."""

@@ -74,7 +74,7 @@ def parse(text: str) -> Profile:
         numbers.take(2 * numbers.count("tilt angles"))
     _lamps, _lumens, multiplier = numbers.take(3)
     verticals, horizontals = numbers.count("vertical angles"), numbers.count("horizontal angles")
-    kind = int(numbers.take(1)[0])
+    (kind,) = numbers.take(1)
     if kind != TYPE_C:
         raise ProfileError(f"photometry of type {KINDS.get(kind, kind)} is not supported; type C is")
     numbers.take(4)  # units, width, length, height of the luminaire

@@ -56,10 +56,12 @@ def point_instances(prim: Usd.Prim, reader: Reader) -> tuple[NDArray, Placements
         reader.warn(
             prim, f"positions: {len(positions)} for {len(indices)} protoIndices; the first {count} are used"
         )
-    if reader.moment == reader.time:
+    at_frame = reader.moment == reader.time
+    matrices = None if at_frame and not flies(prim, reader) else moved_matrices(prim, count, reader)
+    if matrices is None:
+        if not at_frame:
+            return np.zeros(0, np.int32), Placements(np.zeros((0, 4, 4)))
         matrices = instance_matrices(prim, positions[:count], reader)
-    elif (matrices := moved_matrices(prim, count, reader)) is None:
-        return np.zeros(0, np.int32), Placements(np.zeros((0, 4, 4)))
     keep = shown(prim, count, reader) & in_range(prim, indices[:count], reader)
     primvars = {name: values[:count][keep] for name, values in instance_primvars(prim, len(indices), reader)}
     return indices[:count][keep], Placements(matrices[keep], primvars)
@@ -99,6 +101,13 @@ def instance_matrices(prim: Usd.Prim, positions: NDArray, reader: Reader) -> Mat
         matrices[:, :3, :3] *= scales[:, :, None]
     matrices[:, 3, :3] = positions + drift(prim, len(positions), reader)
     return matrices
+
+
+def flies(prim: Usd.Prim, reader: Reader) -> bool:
+    """Whether instances go by velocities between samples: at the frame by the same rules as beside it."""
+    if reader.time.IsDefault() or reader.time.IsEarliestTime():
+        return False
+    return any(prim.GetAttribute(name).HasAuthoredValue() for name in ("velocities", "angularVelocities"))
 
 
 def moved_matrices(prim: Usd.Prim, count: int, reader: Reader) -> Matrices | None:

@@ -176,7 +176,8 @@ class Sampling:
     def add(self) -> None:
         shares = self.refined(self.authored())
         for key, owner in self.owners.items():
-            if key in self.prims:
+            # Points are placed by an instancer of their own, which moves in their stead.
+            if key in self.prims and f"{key}.placed" not in self.prims:
                 self.transforms(key, owner, shares)
         for frame, of_frame in self.scene.placements.items():
             for found in frame.found if len(of_frame) else ():

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import Any
 
-from pxr import Gf, Sdf, Usd, UsdGeom
+from pxr import Gf, Sdf, Tf, Usd, UsdGeom
 
 from .reading import Reader
 
@@ -46,4 +46,9 @@ def domes_through(root: Usd.Prim) -> Iterator[Usd.Prim]:
 def targets(prim: Usd.Prim) -> list[Sdf.Path]:
     relationship = prim.GetRelationship("portals")
     is_dome = str(prim.GetTypeName()).startswith("DomeLight")
-    return relationship.GetForwardedTargets() if is_dome and relationship else []
+    if not (is_dome and relationship):
+        return []
+    try:
+        return relationship.GetForwardedTargets()
+    except Tf.ErrorException:  # `portals` is no relationship, or its targets are none
+        return []

@@ -132,7 +132,9 @@ def flatten(
     reader.primvars = tuple(sorted(primvars_read(stage) | {"st"}))
     warn_composition(stage, reader.report)
     settings = find_settings(stage, options.render_settings, reader)
-    reader.colors = Colors(rendering_color_space(settings, reader, options.rendering_color_space))
+    reader.colors = Colors(
+        rendering_color_space(settings, reader, options.rendering_color_space), reader.warn
+    )
     purposes = included_purposes(settings, reader) if options.purposes is None else options.purposes
     flat = FlatStage(stage=stage_info(stage, time, reader), purposes=tuple(sorted({"default", *purposes})))
     if settings:
@@ -158,10 +160,23 @@ def flatten_prim(
     """One prim, what is below it, the materials and textures these use, and the domes whose portals are among them;
     `stage` and `settings` stay empty."""
     options = options or Options()
+    flat = flatten_alone(prim, time, options)
+    if not prim.IsA(UsdShade.Material):
+        for dome in domes_through(prim):
+            beside = flatten_alone(dome, time, options)
+            flat.prims |= beside.prims
+            flat.warnings += [warning for warning in beside.warnings if warning not in flat.warnings]
+    return flat
+
+
+def flatten_alone(prim: Usd.Prim, time: Usd.TimeCode | float | None, options: Options) -> FlatStage:
+    """[`flatten_prim`] without the domes."""
     reader = Reader(first_time(prim.GetStage()) if time is None else Usd.TimeCode(time), Report())
     reader.primvars = tuple(sorted(primvars_read(prim.GetStage()) | {"st"}))
     settings = find_settings(prim.GetStage(), options.render_settings, reader)
-    reader.colors = Colors(rendering_color_space(settings, reader, options.rendering_color_space))
+    reader.colors = Colors(
+        rendering_color_space(settings, reader, options.rendering_color_space), reader.warn
+    )
     purposes = included_purposes(settings, reader) if options.purposes is None else options.purposes
     binding = binding_purposes(settings, reader)
     flat = FlatStage(purposes=tuple(sorted({"default", *purposes})))
@@ -176,8 +191,6 @@ def flatten_prim(
         emitter = Emitter(reader, binding, options.enable_dome_light_visibility, walk.links)
         flat.prims = emitter.emit(placements)
         sample_motion(flat, Scene(stage, reader, flat.purposes, binding, prim, placements), options, settings)
-        for dome in domes_through(prim):
-            flat.prims |= flatten_prim(dome, time, options).prims
     flat.warnings = reader.report.warnings
     return flat
 
@@ -207,7 +220,7 @@ def first_time(stage: Usd.Stage) -> Usd.TimeCode:
     """The start of the stage's range; without one the earliest sample, since at the default time animated
     attributes may have no value."""
     start = stage.GetStartTimeCode()
-    return Usd.TimeCode(start) if stage.HasAuthoredTimeCodeRange() else Usd.TimeCode.EarliestTime()
+    return Usd.TimeCode(start) if stage.HasAuthoredMetadata("startTimeCode") else Usd.TimeCode.EarliestTime()
 
 
 def add_camera(stage: Usd.Stage, path: str, flat: FlatStage, reader: Reader) -> None:
