@@ -221,10 +221,13 @@ impl Camera {
         -axes.z_axis.dot(p - eye)
     }
 
-    /// Where a render-space point is on the image (pixels, y down) at a time of the shutter; `None` in the plane of the eye.
+    /// Where a render-space point is on the image (pixels, y down) at a time of the shutter; `None` behind the eye.
     pub fn raster(&self, p: Vec3, time: f32) -> Option<Vec2> {
         let (axes, eye) = self.stand(time);
         let p = axes.transpose() * (p - eye);
+        if !self.orthographic && p.z >= 0.0 {
+            return None;
+        }
         let film = if self.orthographic { p.truncate() } else { p.truncate() / -p.z };
         let ndc = (film - self.offset) / self.window;
         film.is_finite().then(|| Vec2::new(ndc.x + 0.5, 0.5 - ndc.y) * self.resolution)

@@ -76,7 +76,7 @@ impl CollisionLight<'_> {
         }
         let hit = enclosure.cast(collision.p, light.wi, light.reach(), None);
         let hit = hit.map(|(t, hit)| SurfaceHit { t, ..enclosure.surface_hit(&hit) });
-        let visible = visibility_beyond(self.scene, light.light, hit, light.wi, light.reach(), &self.around);
+        let visible = visibility_beyond(self.scene, light.light, p, hit, light.wi, light.reach(), &self.around);
         // Walks meet no light shapes before the next surface: those within the medium are ours alone.
         let within = hit.is_none() && light.distance.is_finite() && !self.scene.lights.is_mesh(light.light);
         let ours = light.delta || within || self.wades && self.scene.lights.shadow(light.light).is_some();

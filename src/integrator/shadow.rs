@@ -29,10 +29,11 @@ pub(super) fn visibility(
     }
 }
 
-/// [`visibility`] from within the matched medium of an object whose boundary is `hit`.
+/// [`visibility`] from `o` within the matched medium of an object; `hit` is the first surface along (o, d).
 pub(super) fn visibility_beyond(
     scene: Moment,
     light: u32,
+    o: Vec3,
     hit: Option<SurfaceHit>,
     d: Vec3,
     t_max: f32,
@@ -40,7 +41,15 @@ pub(super) fn visibility_beyond(
 ) -> Rgb {
     match scene.lights.shadow(light) {
         None => transmittance_beyond(scene, hit, d, t_max, inside),
-        Some(shadow) => Ruled { scene, shadow, around: *inside }.beyond(hit, d, t_max),
+        Some(shadow) => {
+            let ruled = Ruled { scene, shadow, around: *inside };
+            let hit = match hit {
+                // An object in the medium that casts no shadow.
+                Some(at) if !ruled.holds_up(at.instance) => ruled.closest(o, d, t_max, None),
+                first => first,
+            };
+            ruled.beyond(hit, d, t_max)
+        }
     }
 }
 
@@ -101,11 +110,12 @@ impl Ruled<'_> {
 
     /// The next thing that casts, or that the light has to get out of.
     fn closest(&self, o: Vec3, d: Vec3, t_max: f32, origin: Origin) -> Option<SurfaceHit> {
-        let casts = |i: u32| {
-            let set = self.scene.instances[i as usize].categories;
-            self.shadow.is_cast_by(set, &self.scene.members) || self.around.contains(i)
-        };
-        self.scene.closest_where(o, d, t_max, origin, casts)
+        self.scene.closest_where(o, d, t_max, origin, |instance| self.holds_up(instance))
+    }
+
+    fn holds_up(&self, instance: u32) -> bool {
+        let set = self.scene.instances[instance as usize].categories;
+        self.shadow.is_cast_by(set, &self.scene.members) || self.around.contains(instance)
     }
 
     fn beyond(&self, mut hit: Option<SurfaceHit>, d: Vec3, t_max: f32) -> Rgb {
@@ -153,7 +163,10 @@ impl Path<'_> {
     pub(super) fn meet_ruled_lights(&mut self) {
         let (scene, o, d) = (self.scene, self.o, self.d);
         scene.light_shapes(o, d, f32::INFINITY, |light, hit| self.meet_ruled(light, hit));
-        for light in scene.lights.ruled() {
+        for &light in scene.lights.infinite() {
+            if scene.lights.shadow(light).is_none() {
+                continue;
+            }
             let radiance = scene.lights().escaped(light, d);
             if radiance != Rgb::ZERO {
                 let weight = self.weight_of_escaped(light, d);
@@ -173,8 +186,11 @@ impl Path<'_> {
         let (mut o, mut origin) = (self.o, self.origin);
         for _ in 0..MAX_LAYERS {
             let Some(hit) = scene.closest_where(o, d, f32::INFINITY, origin, |i| ruled(i).is_some()) else { return };
-            let si = scene.interaction(&hit, d, Side::Outside);
-            if let (Some((light, first)), true) = (ruled(hit.instance), si.front) {
+            let mut si = scene.interaction(&hit, d, Side::Outside);
+            // In a mirror the material's glow is seen in place of the light.
+            let glows =
+                matches!(self.previous, Previous::Delta) && scene.shade(&mut si, 0.0).surface.emission() != Rgb::ZERO;
+            if let (Some((light, first)), true) = (ruled(hit.instance), si.front && !glows) {
                 let on_mesh = ShapeHit::on_mesh((si.p - self.o).dot(d), first + hit.triangle);
                 self.meet_ruled(light, &on_mesh);
             }

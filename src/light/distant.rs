@@ -2,7 +2,7 @@
 
 use super::{
     choice::{Spread, facing},
-    emission::{Emission, magnitude},
+    emission::Emission,
 };
 use crate::math::{Frame, Rgb, TAU};
 use glam::{Vec2, Vec3};
@@ -83,8 +83,8 @@ impl Distant {
     pub fn importance(&self, n: Option<Vec3>) -> f32 {
         let spread = Spread::of_angle(self.half_angle);
         let cos = n.map_or(1.0, |n| facing(n, self.axis, &spread));
-        // The shaping is left out: an estimate that is only ever too large misses no light.
-        magnitude(self.emission.radiance) * self.facing_irradiance * cos
+        // Of any direction: an estimate that is only ever too large misses no light.
+        self.emission.bound(-self.axis, &Spread::of_angle(std::f32::consts::PI)) * self.facing_irradiance * cos
     }
 
     fn cone_pdf(&self) -> f32 {

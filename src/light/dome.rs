@@ -54,11 +54,14 @@ impl Dome {
             return Some(self.sample_all(n, u));
         };
         let doubled = 2.0 * u.x;
-        let wi = match doubled < 1.0 {
-            true => self.sample_all(n, Vec2::new(doubled, u.y)).0,
+        let (wi, through) = match doubled < 1.0 {
+            true => {
+                let wi = self.sample_all(n, Vec2::new(doubled, u.y)).0;
+                (wi, portals.pdf(wi))
+            }
             false => portals.sample(Vec2::new(doubled - 1.0, u.y))?,
         };
-        let pdf = 0.5 * (self.pdf_all(n, wi) + portals.pdf(wi));
+        let pdf = 0.5 * (self.pdf_all(n, wi) + through);
         (pdf > 0.0 && pdf.is_finite()).then_some((wi, pdf))
     }
 

@@ -44,10 +44,13 @@ impl Lights {
         let known = lights.keys().fold(0, |known, path| known | mask(path));
         let of_light: Vec<u64> = self.paths.iter().map(|path| mask(path)).collect();
         let bit = |i: usize| 1_u64 << i;
-        let share =
-            |i| of_light.iter().filter(|&&mask| mask & bit(i) != 0).count() as f32 / of_light.len().max(1) as f32;
-        let shares = (0..labels.len()).map(share).collect();
         let default = labels.iter().position(|label| *label == DEFAULT_GROUP).map_or(0, bit);
+        let share = |i: usize| match of_light.len() {
+            // Only materials glow.
+            0 => f32::from(default & bit(i) != 0),
+            all => of_light.iter().filter(|&&mask| mask & bit(i) != 0).count() as f32 / all as f32,
+        };
+        let shares = (0..labels.len()).map(share).collect();
         for (_, label) in labels.iter().enumerate().filter(|(i, _)| (known | default) & bit(*i) == 0) {
             let message =
                 format!("aovs: {LIGHT_AOV}{label} is black: no light is '{label}' or in a group of that name");

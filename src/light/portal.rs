@@ -32,13 +32,15 @@ pub struct View<'a> {
 }
 
 impl View<'_> {
-    /// A direction through one of them, drawn by its solid angle.
-    pub fn sample(&self, u: Vec2) -> Option<Vec3> {
+    /// A direction through one of them, drawn by its solid angle, and its solid-angle pdf.
+    pub fn sample(&self, u: Vec2) -> Option<(Vec3, f32)> {
         let mut left = f64::from(u.x) * self.total;
-        for (rect, weight) in self.weighed() {
+        for (i, (rect, weight)) in self.weighed().enumerate() {
             if left < weight {
                 let u = Vec2::new((left / weight) as f32, u.y);
-                return rect.sample(self.p, u).map(|sample| sample.wi);
+                let drawn = rect.sample(self.p, u)?;
+                // Rounding may put the direction beside the rectangle that it was drawn through.
+                return Some((drawn.wi, self.density(drawn.wi, Some((i, drawn.hit.t)))));
             }
             left -= weight;
         }
@@ -47,11 +49,17 @@ impl View<'_> {
 
     /// Solid-angle pdf of [`Self::sample`]; portals may overlap.
     pub fn pdf(&self, wi: Vec3) -> f32 {
-        let density = |(rect, weight): (&Rect, f64)| {
-            let hit = rect.intersect(self.p, wi)?;
-            Some(weight / self.total * f64::from(rect.pdf(self.p, wi, hit.t)))
+        self.density(wi, None)
+    }
+
+    /// `met`: a portal that is known to be met, and at which distance.
+    fn density(&self, wi: Vec3, met: Option<(usize, f32)>) -> f32 {
+        let density = |(i, (rect, weight)): (usize, (&Rect, f64))| {
+            let known = met.filter(|(portal, _)| *portal == i).map(|(_, t)| t);
+            let t = rect.intersect(self.p, wi).map(|hit| hit.t).or(known)?;
+            Some(weight / self.total * f64::from(rect.pdf(self.p, wi, t)))
         };
-        self.weighed().filter_map(density).sum::<f64>() as f32
+        self.weighed().enumerate().filter_map(density).sum::<f64>() as f32
     }
 
     /// Those that send light to the receiver, -Z towards it, with their solid angles.

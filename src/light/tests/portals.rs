@@ -84,6 +84,24 @@ fn sampled_pdfs_are_the_evaluated_ones_and_irradiance_stays() {
     }
 }
 
+/// A direction that is drawn through a portal counts as such, wherever rounding puts it: counted as the dome's alone it
+/// would weigh thousands of times too much.
+#[test]
+fn rounding_beside_a_far_portal_makes_no_firefly() {
+    let p = Vec3::new(300.1, 0.0, 0.0);
+    // Half of 1.4 is no multiple of what positions about 300 are rounded to.
+    let lights = dome("", vec![Portal { width: 1.4, ..portal(turned([300.1, 0.0, -30.0])) }]);
+    let solid_angle = 1.4 / 900.0;
+    let mut random = Random::new(9);
+    for _ in 0..1_000_000 {
+        let s = random.sample(&lights, p, None).unwrap();
+        // Half of all are drawn uniformly; none of those is likely to be this close to the portal's edge.
+        let at = s.wi.truncate() * (-30.0 / s.wi.z);
+        let beside = s.wi.z < 0.0 && (at.x.abs() - 0.7).abs() < 1e-4 && at.y.abs() < 0.5;
+        assert!(!beside || s.pdf > 0.4 / solid_angle, "{} {}", s.wi, s.pdf);
+    }
+}
+
 #[test]
 fn what_is_turned_away_or_below_the_horizon_guides_nothing() {
     let plain = dome(TEXTURE, vec![]);
