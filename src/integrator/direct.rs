@@ -1,6 +1,5 @@
 //! Light: what a segment meets, and next-event estimation towards what it might have met.
 
-use super::nest::Nest;
 use super::shadow::visibility;
 use super::{Path, Previous};
 use crate::bsdf::{Bsdf, Side};
@@ -9,6 +8,7 @@ use crate::guiding::exit::Exit;
 use crate::interaction::Interaction;
 use crate::light::{Choice, Emitter, GLOW, LightSample, ShapeHit};
 use crate::math::Rgb;
+use crate::medium::Medium;
 use crate::sampling::power_heuristic;
 use crate::sampling::sampler::Sampler;
 use crate::scene::Coating;
@@ -21,14 +21,12 @@ impl Path<'_> {
     /// Adds the light shapes crossed before `t_max`.
     pub(super) fn meet_light_shapes(&mut self, t_max: f32) {
         if self.scene.has_light_shapes() {
-            let inside = self.inside;
-            self.meet_light_shapes_along(self.o, self.d, t_max, &inside);
+            self.meet_light_shapes_along(self.o, self.d, t_max, self.inside.medium());
         }
     }
 
-    /// Adds the light shapes crossed along (o, d) before `t_max`, amid the objects `inside`. They occlude nothing, so all
-    /// of them count.
-    pub(super) fn meet_light_shapes_along(&mut self, o: Vec3, d: Vec3, t_max: f32, inside: &Nest) {
+    /// Adds the light shapes crossed along (o, d) before `t_max`, in `medium`. They occlude nothing, so all of them count.
+    pub(super) fn meet_light_shapes_along(&mut self, o: Vec3, d: Vec3, t_max: f32, medium: Option<Medium>) {
         let scene = self.scene;
         scene.light_shapes(o, d, t_max, |light, hit| {
             let radiance = scene.lights().radiance_hit(light, d, hit);
@@ -36,7 +34,7 @@ impl Path<'_> {
                 return;
             }
             let weight = self.weight_of_hit(light, o, d, hit);
-            self.see_light(light, weight * inside.transmittance(hit.t) * radiance);
+            self.see_light(light, weight * medium.map_or(Rgb::ONE, |m| m.transmittance(hit.t)) * radiance);
         });
     }
 

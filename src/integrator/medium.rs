@@ -118,7 +118,7 @@ impl<'a> Path<'a> {
         within: &Nest,
     ) {
         let t_max = enclosure.cast(p, d, f32::INFINITY, Some(entry)).map_or(f32::INFINITY, |(t, _)| t);
-        self.meet_light_shapes_along(enclosure.to_render(p), d, t_max, within);
+        self.meet_light_shapes_along(enclosure.to_render(p), d, t_max, within.medium());
     }
 
     /// What MIS needs of a direction that a collision at `p` (render space) in `instance` drew, where it sampled light too.
