@@ -147,7 +147,7 @@ const MEDIA: [&str; 18] = [
 
 impl Driven {
     /// The driven material, and the surface that stands for all of it where no point is at hand: that of the means
-    /// of its images, at the middle of the first triangle. `None` where nothing is driven.
+    /// of its images, at the middle of the first triangle; there is one.
     pub fn compile(
         material: &Material,
         geometry: &Geometry,
@@ -155,9 +155,8 @@ impl Driven {
         images: &ImageCache,
         prim: &str,
         warnings: &mut Vec<Warning>,
-    ) -> Option<(Self, Surface)> {
+    ) -> (Self, Surface) {
         let network = material.network();
-        (!network.is_empty()).then_some(())?;
         let program = Program::compile(network, images);
         let tangents = if network.tangents.is_empty() { "st" } else { &network.tangents };
         let mut setters = Vec::new();
@@ -174,7 +173,7 @@ impl Driven {
             primvars: &geometry.primvars,
             instance: None,
             triangle: 0,
-            corners: geometry.triangles.first().copied()?,
+            corners: geometry.triangles[0],
             at: Vec2::splat(1.0 / 3.0),
             across: None,
             time: 0.0,
@@ -195,7 +194,7 @@ impl Driven {
             }
         });
         let (surface, noted) = Surface::compile_noting(&typical, mesh, prim, warnings);
-        Some((Self { material: interned(material), program, setters, normal, mesh, noted }, surface))
+        (Self { material: interned(material), program, setters, normal, mesh, noted }, surface)
     }
 
     /// Whether shadow rays have to ask at every point.
@@ -238,7 +237,7 @@ impl Driven {
         });
         let mesh = OfMesh { display_color: display_color.or(self.mesh.display_color), ..self.mesh };
         let surface = Surface::at_point(&material, mesh, &self.noted);
-        let interior = surface.interior().map(|interior| super::compile::compile_interior(&interior));
+        let interior = surface.interior().map(|interior| super::coats::compile_interior(&interior));
         let normal = tangent.and_then(|(n, primvar)| bend(n, lookup.primvars.get(primvar)?, instance, lookup, front));
         (Coating { surface, interior, driven: None }, normal)
     }

@@ -1,45 +1,40 @@
 //! Images of materials, as their file has them, with a pyramid of coarser levels: in memory, or in tiles of a scratch file
-//! (`paged`) where all together are more than may be in memory.
+//! (`page_out`) where all together are more than may be in memory.
 //!
-//! Texels are decoded where they are read; filters work on linear values. A level is the box filter of the one
-//! before it: its area mean.
+//! Texels are decoded where they are read; filters work on linear values.
 
-use super::paged::{Residency, Scratch, release};
-use crate::error::Warning;
+use super::paged::Scratch;
+use super::pyramid::{SRGB, coarser, srgb_to_linear};
 use crate::flat::{self, Prims, Texels, Wrap};
 use glam::{Vec2, Vec4};
 use half::f16;
-use rayon::prelude::*;
 use std::collections::BTreeMap;
-use std::io::{self, Write};
-use std::sync::{Arc, LazyLock};
+use std::sync::Arc;
 
 /// Compiled images by key; an edit removes the entries that it makes stale.
 pub type ImageCache = BTreeMap<String, Arc<Image>>;
 
 pub struct Image {
-    channels: usize,
-    srgb: bool,
+    pub(super) channels: usize,
+    pub(super) srgb: bool,
     /// Finest first.
-    levels: Vec<Level>,
+    pub(super) levels: Vec<Level>,
     /// Where the levels are; `None`: in memory.
-    scratch: Option<Arc<Scratch>>,
+    pub(super) scratch: Option<Arc<Scratch>>,
 }
 
-struct Level {
-    width: usize,
-    height: usize,
-    texels: Texels,
+pub(super) struct Level {
+    pub width: usize,
+    pub height: usize,
+    pub texels: Texels,
     /// Tiles per row of tiles; 0: rows of texels.
-    tiles: usize,
+    pub tiles: usize,
     /// First byte in the scratch file.
-    start: usize,
+    pub start: usize,
 }
 
 /// Side of a tile, texels: its bytes are a chunk of pages at most, or a few.
-const TILE: usize = 64;
-/// Of arrays in a map.
-const ALIGNMENT: usize = 64;
+pub(super) const TILE: usize = 64;
 
 impl Level {
     /// Where a texel is among the texels.
@@ -60,17 +55,6 @@ pub struct Sampling {
     pub closest: bool,
 }
 
-/// IEC 61966-2-1, of 8-bit values.
-static SRGB: LazyLock<[f32; 256]> = LazyLock::new(|| std::array::from_fn(|i| srgb_to_linear(i as f32 / 255.0)));
-
-fn srgb_to_linear(v: f32) -> f32 {
-    if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
-}
-
-fn linear_to_srgb(v: f32) -> f32 {
-    if v <= 0.003_130_8 { v * 12.92 } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }
-}
-
 impl Image {
     /// In memory; `None` where there are no texels.
     pub fn compile(image: &flat::Image) -> Option<Self> {
@@ -79,57 +63,6 @@ impl Image {
         let mut levels = vec![Level { width, height, texels: image.texels.clone(), tiles: 0, start: 0 }];
         coarser(image, |width, height, texels| levels.push(Level { width, height, texels, tiles: 0, start: 0 }));
         Some(Self { channels: image.channels as usize, srgb: image.srgb, levels, scratch: None })
-    }
-
-    /// In tiles, in a scratch file; of an image with texels.
-    ///
-    /// # Errors
-    /// What the file system says.
-    fn paged(image: &flat::Image, residency: &Arc<Residency>) -> io::Result<Self> {
-        let channels = image.channels as usize;
-        let mut levels = Vec::new();
-        let mut end = 0;
-        let scratch = Scratch::create(residency, |file| {
-            // Level 0 of the description, rows as they are: what is saved or compiled again comes from there.
-            file.write_all(image.texels.bytes())?;
-            end = image.texels.bytes().len();
-            let mut put = |width: usize, height: usize, texels: &Texels| {
-                let tiles = if width.max(height) > TILE { width.div_ceil(TILE) } else { 0 };
-                let start = end.next_multiple_of(ALIGNMENT);
-                file.write_all(&[0; ALIGNMENT][..start - end])?;
-                end = start + write_level(file, texels, [width, height], channels * texels.size(), tiles)?;
-                levels.push((width, height, tiles, start, (end - start) / texels.size()));
-                Ok(())
-            };
-            let mut written = put(image.width as usize, image.height as usize, &image.texels);
-            coarser(image, |width, height, texels| {
-                if written.is_ok() {
-                    written = put(width, height, &texels);
-                }
-            });
-            written
-        })?;
-        if let Some((map, offset, len)) = image.texels.map() {
-            release(map, offset, len);
-        }
-        let level = |(width, height, tiles, start, len)| Level {
-            width,
-            height,
-            texels: image.texels.mapped(scratch.map(), start, len),
-            tiles,
-            start,
-        };
-        let levels = levels.into_iter().map(level).collect();
-        Ok(Self { channels, srgb: image.srgb, levels, scratch: Some(scratch) })
-    }
-
-    /// The texels of a paged image as they were described.
-    fn finest(&self) -> Texels {
-        let level = &self.levels[0];
-        match &self.scratch {
-            Some(scratch) => level.texels.mapped(scratch.map(), 0, level.width * level.height * self.channels),
-            None => level.texels.clone(),
-        }
     }
 
     pub fn is_paged(&self) -> bool {
@@ -257,111 +190,6 @@ fn wrapped(i: i64, n: usize, wrap: Wrap) -> Option<usize> {
     Some(at as usize)
 }
 
-fn is_color(channel: usize, channels: usize) -> bool {
-    channels % 2 == 1 || channel + 1 < channels
-}
-
-fn decode(texels: &Texels, i: usize, srgb: bool) -> f32 {
-    let value = match texels {
-        Texels::U8(values) => f32::from(values[i]) / 255.0,
-        Texels::U16(values) => f32::from(values[i]) / 65535.0,
-        Texels::Half(values) => f16::from_bits(values[i]).to_f32(),
-        Texels::Float(values) => values[i],
-    };
-    if srgb { srgb_to_linear(value) } else { value }
-}
-
-/// In the format of `like`.
-fn encode(like: &Texels, linear: &[f32], channels: usize, srgb: bool) -> Texels {
-    let curve = |i: usize| {
-        let value = linear[i];
-        if srgb && is_color(i % channels, channels) { linear_to_srgb(value) } else { value }
-    };
-    let all = 0..linear.len();
-    match like {
-        Texels::U8(_) => Texels::U8(all.map(|i| (curve(i) * 255.0).round() as u8).collect::<Vec<_>>().into()),
-        Texels::U16(_) => Texels::U16(all.map(|i| (curve(i) * 65535.0).round() as u16).collect::<Vec<_>>().into()),
-        Texels::Half(_) => Texels::Half(all.map(|i| f16::from_f32(curve(i)).to_bits()).collect::<Vec<_>>().into()),
-        Texels::Float(_) => Texels::Float(all.map(curve).collect::<Vec<_>>().into()),
-    }
-}
-
-/// The levels behind the finest, each with its size.
-fn coarser(image: &flat::Image, mut take: impl FnMut(usize, usize, Texels)) {
-    let channels = image.channels as usize;
-    let mut from = [image.width as usize, image.height as usize];
-    let mut linear: Option<Vec<f32>> = None;
-    while from[0] > 1 || from[1] > 1 {
-        let to = from.map(|n| (n / 2).max(1));
-        let decoded = |i: usize, c: usize| match &linear {
-            Some(linear) => linear[i * channels + c],
-            None => decode(&image.texels, i * channels + c, image.srgb && is_color(c, channels)),
-        };
-        let coarser = shrink(from, to, channels, decoded);
-        take(to[0], to[1], encode(&image.texels, &coarser, channels, image.srgb));
-        (linear, from) = (Some(coarser), to);
-    }
-}
-
-/// Writes texels of `size` bytes in rows, or in `tiles` per row of tiles; how many bytes.
-fn write_level(
-    file: &mut impl Write,
-    texels: &Texels,
-    [width, height]: [usize; 2],
-    size: usize,
-    tiles: usize,
-) -> io::Result<usize> {
-    let bytes = texels.bytes();
-    if tiles == 0 {
-        file.write_all(bytes)?;
-        return Ok(bytes.len());
-    }
-    let mut tile = vec![0; TILE * TILE * size];
-    let rows = height.div_ceil(TILE);
-    for (ty, tx) in (0..rows).flat_map(|ty| (0..tiles).map(move |tx| (ty, tx))) {
-        let across = TILE.min(width - tx * TILE) * size;
-        for y in 0..TILE.min(height - ty * TILE) {
-            let from = ((ty * TILE + y) * width + tx * TILE) * size;
-            tile[y * TILE * size..][..across].copy_from_slice(&bytes[from..from + across]);
-        }
-        // What is beyond the image is not looked at.
-        file.write_all(&tile)?;
-    }
-    Ok(rows * tiles * tile.len())
-}
-
-/// Area means of `value(texel, channel)`.
-fn shrink(
-    [w, h]: [usize; 2],
-    [to_w, to_h]: [usize; 2],
-    channels: usize,
-    value: impl Fn(usize, usize) -> f32 + Sync,
-) -> Vec<f32> {
-    let (columns, rows) = (shares(w, to_w), shares(h, to_h));
-    let mut out = vec![0.0; to_w * to_h * channels];
-    out.par_chunks_mut(to_w * channels).zip(&rows).for_each(|(row, above)| {
-        for (texel, across) in row.chunks_mut(channels).zip(&columns) {
-            for (c, sum) in texel.iter_mut().enumerate() {
-                let line = |y: usize| across.iter().map(|&(x, share)| share * value(y * w + x, c)).sum::<f32>();
-                *sum = above.iter().map(|&(y, share)| share * line(y)).sum();
-            }
-        }
-    });
-    out
-}
-
-/// For each of `to` equal parts of 0..n, the cells in it and their shares of it.
-fn shares(n: usize, to: usize) -> Vec<Vec<(usize, f32)>> {
-    let width = n as f64 / to as f64;
-    let part = |i: usize| {
-        let (begin, end) = (i as f64 * width, (i + 1) as f64 * width);
-        let cells = begin as usize..(end.ceil() as usize).min(n);
-        let overlap = |x: usize| (end.min(x as f64 + 1.0) - begin.max(x as f64)) / width;
-        cells.map(|x| (x, overlap(x) as f32)).filter(|(_, share)| *share > 0.0).collect()
-    };
-    (0..to).map(part).collect()
-}
-
 /// Compiles what is not in the cache, and forgets what is gone.
 pub fn build_images(images: &Prims<flat::Image>, cache: &mut ImageCache) {
     cache.retain(|key, _| images.contains_key(key));
@@ -374,59 +202,16 @@ pub fn build_images(images: &Prims<flat::Image>, cache: &mut ImageCache) {
     }
 }
 
-/// Bytes with all levels: a third more than the finest.
-fn bytes(image: &flat::Image) -> usize {
-    image.texels.len() * image.texels.size() / 3 * 4
-}
-
-/// Where all images together exceed `bound` bytes (0: none), moves those that are not there yet into scratch files, the
-/// described texels included, and bounds what of the files is in memory.
-///
-/// An image that no file can be written for stays in memory, which is said.
-pub fn page_out(
-    images: &mut Prims<flat::Image>,
-    cache: &mut ImageCache,
-    residency: &Arc<Residency>,
-    bound: usize,
-) -> Vec<Warning> {
-    residency.set_bound(bound);
-    let mut warnings = Vec::new();
-    if bound == 0 || images.values().map(bytes).sum::<usize>() <= bound {
-        return warnings;
-    }
-    for (key, image) in images.iter_mut() {
-        if image.texels.is_empty() || cache.get(key).is_some_and(|compiled| compiled.scratch.is_some()) {
-            continue;
-        }
-        match Image::paged(image, residency) {
-            Ok(compiled) => {
-                image.texels = compiled.finest();
-                cache.insert(key.clone(), Arc::new(compiled));
-            }
-            Err(error) => {
-                let place = std::env::temp_dir();
-                let message = format!(
-                    "{}: textureMemory: no scratch file in {} ({error}); it is kept in memory: set TMPDIR",
-                    image.file,
-                    place.display()
-                );
-                warnings.push(Warning::new(key, message));
-            }
-        }
-    }
-    warnings
-}
-
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
 
-    fn image(width: u32, channels: u32, srgb: bool, texels: Texels) -> flat::Image {
+    pub fn image(width: u32, channels: u32, srgb: bool, texels: Texels) -> flat::Image {
         let height = texels.len() as u32 / (width * channels);
         flat::Image { file: "a.png".into(), width, height, channels, srgb, texels, ..flat::Image::default() }
     }
 
-    fn how(wrap: Wrap) -> Sampling {
+    pub fn how(wrap: Wrap) -> Sampling {
         Sampling { wrap_s: wrap, wrap_t: wrap, border: Vec4::splat(0.25), closest: false }
     }
 
@@ -491,46 +276,6 @@ mod tests {
                     assert!((got / value - 1.0).abs() < 1e-6, "{texels:?} {srgb} {width}: {got} {value}");
                 }
             }
-        }
-    }
-
-    #[test]
-    fn paged_images_are_the_same_bit_for_bit() {
-        let noise = |n: usize| (0..n).map(move |i| (i.wrapping_mul(2_654_435_761) >> 7) as u8);
-        let half = |v: u8| f16::from_f32(f32::from(v) / 7.0).to_bits();
-        let formats: [(u32, Texels); 4] = [
-            (3, Texels::U8(noise(3 * 201 * 133).collect::<Vec<_>>().into())),
-            (1, Texels::U16(noise(201 * 133).map(|v| 257 * u16::from(v)).collect::<Vec<_>>().into())),
-            (2, Texels::Half(noise(2 * 201 * 133).map(half).collect::<Vec<_>>().into())),
-            (4, Texels::Float(noise(4 * 201 * 133).map(f32::from).collect::<Vec<_>>().into())),
-        ];
-        for (channels, texels) in formats {
-            let flat = image(201, channels, channels == 3, texels);
-            let residency = Arc::new(Residency::default());
-            let mut images: Prims<flat::Image> = [("a".into(), flat.clone())].into();
-            let mut cache = ImageCache::new();
-            // The smallest bound: a chunk.
-            assert!(page_out(&mut images, &mut cache, &residency, 1).is_empty());
-            assert_eq!(images["a"], flat);
-            let (plain, paged) = (Image::compile(&flat).unwrap(), &cache["a"]);
-            assert!(paged.is_paged() && paged.levels.len() == plain.levels.len());
-            for i in 0..4000 {
-                let st = Vec2::new(i as f32 * 0.618, i as f32 * 0.414);
-                let across = Some([Vec2::splat(0.5_f32.powi(i % 9)), Vec2::Y]);
-                for wrap in [Wrap::Repeat, Wrap::Mirror] {
-                    assert_eq!(plain.at(st, across, &how(wrap)), paged.at(st, across, &how(wrap)));
-                }
-            }
-        }
-    }
-
-    #[test]
-    fn images_that_fit_stay_in_memory() {
-        let small = image(10, 1, false, Texels::U8(vec![9; 100].into()));
-        let mut images: Prims<flat::Image> = [("small".into(), small)].into();
-        let (mut cache, residency) = (ImageCache::new(), Arc::new(Residency::default()));
-        for bound in [0, 1_000_000] {
-            assert!(page_out(&mut images, &mut cache, &residency, bound).is_empty() && cache.is_empty());
         }
     }
 }

@@ -2,6 +2,7 @@
 
 pub mod accel;
 mod alike;
+mod coats;
 mod company;
 mod compile;
 mod displace;
@@ -10,11 +11,17 @@ mod edges;
 mod enclosure;
 mod geometry;
 mod image;
+mod instances;
+mod mesh_lights;
 mod motion;
 mod needs;
 mod nesting;
 mod network;
+mod page_out;
 mod paged;
+mod pyramid;
+mod rays;
+mod shading;
 mod strands;
 
 pub use company::Around;
@@ -22,17 +29,16 @@ pub use compile::{CompileStats, Kept, compile};
 pub use driven::Driven;
 pub use enclosure::{BoundaryHit, InstanceEnclosure};
 pub use geometry::{Attribute, Geometry};
-pub use image::page_out;
 pub use motion::{Deformation, Keys, Moves, Placed};
 pub use needs::{Explanation, Needs};
+pub use page_out::page_out;
 pub use paged::{Residency, release};
 
-use crate::bsdf::{Boundary, Side, Surface};
+use crate::bsdf::{Boundary, Surface};
 use crate::camera::Camera;
 use crate::film::OnSurface;
-use crate::interaction::{Interaction, shading_normal};
-use crate::light::{Lights, LightsAt, Members, ShapeHit};
-use crate::math::{Affine, Frame};
+use crate::light::{Lights, Members};
+use crate::math::Affine;
 use crate::medium::Medium;
 use accel::{Ray, Tlas};
 use glam::{Vec2, Vec3, Vec4};
@@ -155,22 +161,6 @@ pub type Origin = Option<(u32, u32)>;
 /// No instance.
 pub const NOBODY: u32 = u32::MAX;
 
-/// The triangle of `instance` that a ray from `origin` leaves out.
-fn skipped(origin: Origin, instance: u32) -> u32 {
-    origin.filter(|(at, _)| *at == instance).map_or(u32::MAX, |(_, triangle)| triangle)
-}
-
-impl Instance {
-    /// A ray whose origin is relative to the instance's own, in centred object space; `t` is unchanged.
-    #[inline(always)]
-    pub(crate) fn local_ray(&self, placed: &Affine, o: Vec3, d: Vec3, t_max: f32) -> Ray {
-        if self.translated {
-            return Ray { o, d, t_max };
-        }
-        Ray { o: placed.inverse * o, d: placed.inverse * d, t_max }
-    }
-}
-
 impl Instance {
     /// Smallest side of its box in render space, stage units.
     pub fn thickness(&self) -> f32 {
@@ -243,245 +233,4 @@ impl Scene {
     pub fn middle(&self) -> Moment<'_> {
         self.at(self.frozen.unwrap_or(0.5))
     }
-}
-
-impl<'a> Moment<'a> {
-    pub fn lights(&self) -> LightsAt<'a> {
-        self.scene.lights.at(self.time)
-    }
-
-    /// Where an instance is.
-    #[inline]
-    pub fn placed(&self, instance: u32) -> Placed<'a> {
-        self.scene.instances[instance as usize].placed(self.time)
-    }
-
-    /// Closest surface for 0 < t < `t_max`; `d` unit, render space.
-    pub fn closest(&self, o: Vec3, d: Vec3, t_max: f32, origin: Origin) -> Option<SurfaceHit> {
-        self.closest_where(o, d, t_max, origin, |_| true)
-    }
-
-    /// [`Self::closest`] among the instances that are `wanted`.
-    #[inline(always)]
-    pub fn closest_where(
-        &self,
-        o: Vec3,
-        d: Vec3,
-        t_max: f32,
-        origin: Origin,
-        wanted: impl Fn(u32) -> bool,
-    ) -> Option<SurfaceHit> {
-        // What stays costs no look at the time.
-        if self.moves {
-            self.closest_of::<true>(o, d, t_max, origin, wanted)
-        } else {
-            self.closest_of::<false>(o, d, t_max, origin, wanted)
-        }
-    }
-
-    #[inline(always)]
-    fn closest_of<const MOVES: bool>(
-        &self,
-        o: Vec3,
-        d: Vec3,
-        t_max: f32,
-        origin: Origin,
-        wanted: impl Fn(u32) -> bool,
-    ) -> Option<SurfaceHit> {
-        let mut ray = Ray { o, d, t_max };
-        let mut closest = None;
-        self.tlas.traverse(&mut ray, |i, ray| {
-            if !wanted(i) {
-                return false;
-            }
-            let instance = &self.instances[i as usize];
-            let found = if MOVES {
-                let placed = instance.placed(self.time);
-                let local = instance.local_ray(&placed, o - placed.translation, d, ray.t_max);
-                instance.geometry.closest(&local, skipped(origin, i), self.time)
-            } else {
-                let placed = &instance.to_render;
-                let local = instance.local_ray(placed, o - placed.translation, d, ray.t_max);
-                instance.geometry.closest_still(&local, skipped(origin, i))
-            };
-            if let Some(hit) = found {
-                ray.t_max = hit.t;
-                closest = Some(SurfaceHit { t: hit.t, instance: i, triangle: hit.triangle, u: hit.u, v: hit.v });
-            }
-            false
-        });
-        closest
-    }
-
-    /// The boundary of `instance` from a point `p` within it, relative to its origin: far from the camera, render space
-    /// is coarser than a short mean free path. As walks, it does not see what else is in there.
-    pub fn boundary_from_within(&self, instance: u32, p: Vec3, d: Vec3, t_max: f32) -> Option<SurfaceHit> {
-        let of = &self.instances[instance as usize];
-        let local = of.local_ray(&of.placed(self.time), p, d, t_max);
-        let hit = of.geometry.closest(&local, u32::MAX, self.time)?;
-        Some(SurfaceHit { t: hit.t, instance, triangle: hit.triangle, u: hit.u, v: hit.v })
-    }
-
-    /// Whether any surface is met for 0 < t < `t_max`.
-    pub fn occluded(&self, o: Vec3, d: Vec3, t_max: f32, origin: Origin) -> bool {
-        if self.moves {
-            self.occluded_of::<true>(o, d, t_max, origin)
-        } else {
-            self.occluded_of::<false>(o, d, t_max, origin)
-        }
-    }
-
-    fn occluded_of<const MOVES: bool>(&self, o: Vec3, d: Vec3, t_max: f32, origin: Origin) -> bool {
-        let mut occluded = false;
-        self.tlas.traverse(&mut Ray { o, d, t_max }, |i, ray| {
-            let instance = &self.instances[i as usize];
-            occluded = if MOVES {
-                let placed = instance.placed(self.time);
-                let local = instance.local_ray(&placed, o - placed.translation, d, ray.t_max);
-                instance.geometry.any(&local, skipped(origin, i), self.time)
-            } else {
-                let placed = &instance.to_render;
-                let local = instance.local_ray(placed, o - placed.translation, d, ray.t_max);
-                instance.geometry.any_still(&local, skipped(origin, i))
-            };
-            occluded
-        });
-        occluded
-    }
-
-    /// Whether `light` is for the things of `instance`; a camera, [`NOBODY`], sees all.
-    pub fn illuminates(&self, light: u32, instance: u32) -> bool {
-        let Some(category) = self.lights.category(light) else { return true };
-        instance == NOBODY || self.members.has(self.instances[instance as usize].categories, category)
-    }
-
-    /// Whether rays may meet light shapes.
-    pub fn has_light_shapes(&self) -> bool {
-        !self.light_shapes.is_empty()
-    }
-
-    /// Calls `visit` for every light shape crossed for 0 < t < `t_max`. Lights cast no shadows.
-    pub fn light_shapes(&self, o: Vec3, d: Vec3, t_max: f32, mut visit: impl FnMut(u32, &ShapeHit)) {
-        if self.light_shapes.is_empty() {
-            return;
-        }
-        self.light_tlas.traverse(&mut Ray { o, d, t_max }, |i, _| {
-            let light = self.light_shapes[i as usize];
-            if let Some(hit) = self.lights().intersect(light, o, d, t_max) {
-                visit(light, &hit);
-            }
-            false
-        });
-    }
-
-    /// The surface point of a hit on a path that travels along `d`.
-    pub fn interaction(&self, hit: &SurfaceHit, d: Vec3, side: Side) -> Interaction {
-        let instance = &self.instances[hit.instance as usize];
-        let geometry = &instance.geometry;
-        let [a, b, c] = geometry.corners(hit.triangle, self.time);
-        let local = a * (1.0 - hit.u - hit.v) + b * hit.u + c * hit.v;
-        let m = &*instance.placed(self.time);
-        let at = Vec2::new(hit.u, hit.v);
-        let front_normal = m.normal((b - a).cross(c - a)).normalize_or(-d);
-        let front = front_normal.dot(d) <= 0.0;
-        let outward = matches!(side, Side::Outside) == front;
-        let ng = if outward { front_normal } else { -front_normal };
-        let wo = -d;
-        let corners = geometry.triangles[hit.triangle as usize];
-        let ns = geometry.normal(hit.triangle, hit.u, hit.v, self.time).map_or(ng, |normal| {
-            let n = m.normal(normal);
-            // Inside, the side of wo is -ng: bend there, then turn back.
-            match side {
-                Side::Outside => shading_normal(n, ng, wo),
-                Side::Inside => -shading_normal(n, -ng, wo),
-            }
-        });
-        // Rounding of the barycentric sum and of the affine map: a few ulps of the largest term.
-        let extent = (m.linear.abs() * (a.abs().max(b.abs()).max(c.abs()))) + m.translation.abs();
-        Interaction {
-            p: m.point(local),
-            error: 4.0 * f32::EPSILON * extent.max_element(),
-            ng,
-            frame: match &geometry.strands {
-                None => Frame::from_normal(ns),
-                Some(strands) => strands.frame(m, hit.triangle as usize, corners, at, wo),
-            },
-            wo,
-            side,
-            strand: geometry.strands.is_some(),
-            instance: hit.instance,
-            triangle: hit.triangle,
-            barycentric: at,
-            surface: instance.surfaces + geometry.slot(hit.triangle) as u32,
-            front,
-            display_color: match &geometry.display_color {
-                _ if instance.display_color.is_some() => instance.display_color,
-                None | Some(Attribute::Constant(_)) => None,
-                Some(color) => Some(color.at(hit.triangle as usize, corners, hit.u, hit.v)),
-            },
-        }
-    }
-
-    /// The coating at `si`, whose shading normal it may bend. `width`: of the ray's footprint across the ray.
-    pub fn shade(&self, si: &mut Interaction, width: f32) -> CoatingAt<'a> {
-        let coating = &self.scene.surfaces[si.surface as usize];
-        match &coating.driven {
-            None => CoatingAt::Constant(coating),
-            Some(driven) => CoatingAt::Driven(self.drive(driven, si, width)),
-        }
-    }
-
-    /// Bends the shading normal of `si`, if its material does.
-    pub fn bend(&self, si: &mut Interaction, width: f32) {
-        if let Some(driven) = self.surfaces[si.surface as usize].driven.as_ref().filter(|driven| driven.bends()) {
-            self.drive(driven, si, width);
-        }
-    }
-
-    fn drive(&self, driven: &Driven, si: &mut Interaction, width: f32) -> Coating {
-        let instance = &self.instances[si.instance as usize];
-        let geometry = &instance.geometry;
-        let lookup = network::Lookup {
-            primvars: &geometry.primvars,
-            instance: instance.primvars.as_ref().map(|(primvars, i)| (&**primvars, *i as usize)),
-            triangle: si.triangle as usize,
-            corners: geometry.triangles[si.triangle as usize],
-            at: si.barycentric,
-            across: Some(footprint(instance, si, width, self.time)),
-            time: self.time,
-        };
-        let outward = matches!(si.side, Side::Outside) == si.front;
-        let turn = if outward { 1.0 } else { -1.0 };
-        let (coating, bent) = driven.at(instance, &lookup, si.display_color, si.frame.n * turn);
-        if let Some(n) = bent {
-            // As in `interaction`.
-            let n = n * turn;
-            si.frame = Frame::from_normal(match si.side {
-                Side::Outside => shading_normal(n, si.ng, si.wo),
-                Side::Inside => -shading_normal(-n, -si.ng, si.wo),
-            });
-        }
-        coating
-    }
-}
-
-/// Grazing footprints are cut to this many widths: images beyond are averaged by the samples of a pixel.
-const LONGEST_FOOTPRINT: f32 = 16.0;
-
-/// Offsets in barycentrics of two points beside `si`: along the ray's projection, and across it.
-fn footprint(instance: &Instance, si: &Interaction, width: f32, time: f32) -> [Vec2; 2] {
-    let [a, b, c] = instance.geometry.corners(si.triangle, time);
-    let placed = instance.placed(time);
-    let [e1, e2] = [b - a, c - a].map(|edge| placed.vector(edge));
-    let cos = si.wo.dot(si.ng);
-    let along = (si.wo - si.ng * cos).try_normalize().unwrap_or_else(|| si.ng.any_orthonormal_vector());
-    let stretch = cos.abs().recip().min(LONGEST_FOOTPRINT);
-    let (m11, m12, m22) = (e1.length_squared(), e1.dot(e2), e2.length_squared());
-    let determinant = m11 * m22 - m12 * m12;
-    [along * (width * stretch), si.ng.cross(along) * width].map(|offset| {
-        let (x, y) = (offset.dot(e1), offset.dot(e2));
-        let barycentric = Vec2::new(m22 * x - m12 * y, m11 * y - m12 * x) / determinant;
-        // A needle without area in f32 is seen whole: a point of it.
-        if barycentric.is_finite() { barycentric } else { Vec2::ZERO }
-    })
 }

@@ -155,11 +155,14 @@ pub fn combined(
     let mut times: Vec<f32> = [first_keys, second_keys].into_iter().flatten().flat_map(|k| k.times.clone()).collect();
     times.sort_by(f32::total_cmp);
     times.dedup();
-    let at = |time| {
-        super::compile::multiply(&matrix_at(first, first_keys, 0, time), &matrix_at(second, second_keys, i, time))
-    };
+    let at = |time| multiply(&matrix_at(first, first_keys, 0, time), &matrix_at(second, second_keys, i, time));
     let keys: Vec<(f32, Matrix4d)> = times.into_iter().map(|time| (time, at(time))).collect();
     keys.windows(2).any(|pair| pair[0].1 != pair[1].1).then_some(keys)
+}
+
+/// Row-vector product: first `a`, then `b`.
+pub fn multiply(a: &Matrix4d, b: &Matrix4d) -> Matrix4d {
+    std::array::from_fn(|i| std::array::from_fn(|j| (0..4).map(|k| a[i][k] * b[k][j]).sum()))
 }
 
 fn matrix_at(still: &Matrix4d, keys: Option<&TransformKeys>, instance: usize, time: f32) -> Matrix4d {

@@ -1,6 +1,12 @@
 //! What a scene uses, hence which code paths and tables exist at all; `dermis explain` prints it.
 
-use crate::flat::GUIDE_AOVS;
+use super::image::ImageCache;
+use super::{Coating, Driven, Instance};
+use crate::bsdf::Boundary;
+use crate::camera::Camera;
+use crate::flat::{FlatScene, GUIDE_AOVS};
+use crate::light::Lights;
+use crate::math::Rgb;
 use serde::Serialize;
 
 /// Counted at compile from the scene that was committed.
@@ -110,6 +116,57 @@ impl Needs {
             0 => "no subdivision surface".into(),
             n => format!("{n} surfaces are left as cages; --complexity refines them"),
         }
+    }
+
+    /// Adds what is counted in what was compiled; meshes are, as they are placed.
+    pub(super) fn count(
+        &mut self,
+        flat: &FlatScene,
+        images: &ImageCache,
+        camera: &Camera,
+        instances: &[Instance],
+        surfaces: &[Coating],
+        lights: &Lights,
+    ) {
+        self.linked_lights = lights.linked() as u32;
+        self.guided_domes = lights.with_portals() as u32;
+        self.shadow_rules = lights.ruled().count() as u32;
+        self.lights = lights.len() as u32;
+        self.infinite_lights = lights.infinite().len() as u32;
+        self.mesh_lights = instances.iter().filter(|i| i.light.is_some()).count() as u32;
+        self.textures = (flat.textures.len() + images.len()) as u32;
+        self.texture_bytes = images.values().map(|image| image.memory() as u64).sum();
+        self.paged_images = images.values().filter(|image| image.is_paged()).count() as u32;
+        self.texture_memory = flat.settings.texture_memory;
+        self.moving_instances = instances.iter().filter(|i| i.moves.is_some()).count() as u32;
+        self.deforming_meshes = instances.iter().filter(|i| i.geometry.deformation.is_some()).count() as u32;
+        self.moving_lights = lights.moving() as u32;
+        self.moving_camera = camera.is_moving();
+        self.depth_of_field = camera.has_depth_of_field();
+        self.aovs = flat.settings.aovs.clone();
+        surfaces.iter().for_each(|coating| self.count_surface(coating));
+    }
+
+    fn count_surface(&mut self, coating: &Coating) {
+        let driven = coating.driven.as_deref();
+        self.hair_surfaces += u32::from(coating.surface.is_hair());
+        self.driven_surfaces += u32::from(driven.is_some());
+        self.transparency |= !coating.surface.is_opaque() || driven.is_some_and(Driven::opacity);
+        let Some(interior) = coating.interior else { return };
+        let medium = interior.medium;
+        if !medium.scatters() {
+            self.clear_media += 1;
+        } else {
+            match interior.boundary {
+                Boundary::Diffuse => self.diffuse_media += 1,
+                Boundary::Dielectric => self.dielectric_media += 1,
+                Boundary::IndexMatched => self.index_matched_media += 1,
+            }
+        }
+        self.transparency |= interior.boundary == Boundary::IndexMatched;
+        let differs = |c: Rgb| c.max_element() != c.min_element();
+        self.rgb_media |= differs(medium.sigma_t) || differs(medium.albedo);
+        self.anisotropic_media |= medium.g != 0.0;
     }
 
     /// Each capability with why it is on, or what is missing for it.
