@@ -1,17 +1,20 @@
 //! The Python module `dermis._core`: the render delegate with numpy arrays in and out.
 
+use bytemuck::Pod;
 use dermis::delegate::{DirtyBits, LayerSpec, RenderDelegate, xy};
 use dermis::error::{Error, Warning};
-use dermis::flat::{self, Prim, RenderSettings, StageInfo, array::AnyArray, array::with_arrays};
+use dermis::flat::array::{AnyArray, Lent, Scalar, with_arrays};
+use dermis::flat::{self, Prim, RenderSettings, StageInfo};
 use dermis::output::{Attribute, Frame, Layer, Samples, write_exr};
 use dermis::subsurface::inversion::{self, Illumination};
 use numpy::{PyArray3, PyArrayMethods, PyReadonlyArrayDyn};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyDict, PyMemoryView};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
-use std::sync::{Mutex, PoisonError};
+use std::ptr::NonNull;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 pyo3::create_exception!(_core, CoreError, pyo3::exceptions::PyException);
@@ -178,33 +181,50 @@ impl Delegate {
     }
 }
 
-/// A numpy array as the core's, copied once.
+/// A numpy array as the core's: read in place where nobody can write to it, copied once elsewhere.
 fn any_array(array: &Bound<'_, PyAny>) -> PyResult<AnyArray> {
-    fn flatten<T: numpy::Element + Copy>(array: &PyReadonlyArrayDyn<'_, T>) -> PyResult<(Vec<T>, usize)> {
+    fn taken<T: numpy::Element + Copy + Pod>(
+        array: &PyReadonlyArrayDyn<'_, T>,
+        scalar: Scalar,
+        owned: fn(Vec<T>, usize) -> AnyArray,
+    ) -> PyResult<AnyArray> {
         let components = array.as_array().shape().iter().skip(1).product();
-        Ok((array.as_slice().map_err(|e| PyTypeError::new_err(format!("array: {e}")))?.to_vec(), components))
+        let values = array.as_slice().map_err(|e| PyTypeError::new_err(format!("array: {e}")))?;
+        if !is_for_reading(array.as_any())? {
+            return Ok(owned(values.to_vec(), components));
+        }
+        let (bytes, owner) = (NonNull::from(bytemuck::cast_slice(values)), Box::new(array.as_any().clone().unbind()));
+        // SAFETY: the array keeps its memory, which `is_for_reading`.
+        let memory = Arc::new(unsafe { Lent::new(bytes, owner) });
+        Ok(AnyArray::Lent { memory, scalar, components })
     }
     if let Ok(values) = array.extract::<PyReadonlyArrayDyn<'_, f32>>() {
-        let (values, components) = flatten(&values)?;
-        return Ok(AnyArray::F32(values, components));
+        return taken(&values, Scalar::F32, AnyArray::F32);
     }
     if let Ok(values) = array.extract::<PyReadonlyArrayDyn<'_, i32>>() {
-        let (values, components) = flatten(&values)?;
-        return Ok(AnyArray::I32(values, components));
+        return taken(&values, Scalar::I32, AnyArray::I32);
     }
     if let Ok(values) = array.extract::<PyReadonlyArrayDyn<'_, f64>>() {
-        let (values, components) = flatten(&values)?;
-        return Ok(AnyArray::F64(values, components));
+        return taken(&values, Scalar::F64, AnyArray::F64);
     }
     if let Ok(values) = array.extract::<PyReadonlyArrayDyn<'_, u8>>() {
-        let (values, components) = flatten(&values)?;
-        return Ok(AnyArray::U8(values, components));
+        return taken(&values, Scalar::U8, AnyArray::U8);
     }
     if let Ok(values) = array.extract::<PyReadonlyArrayDyn<'_, u16>>() {
-        let (values, components) = flatten(&values)?;
-        return Ok(AnyArray::U16(values, components));
+        return taken(&values, Scalar::U16, AnyArray::U16);
     }
     Err(PyTypeError::new_err("arrays must be numpy arrays of float32, int32, float64, uint8 or uint16"))
+}
+
+/// Whether an array is a view of one of USD's: it cannot be made writeable, and USD copies on write what others read.
+fn is_for_reading(array: &Bound<'_, PyAny>) -> PyResult<bool> {
+    let writeable: bool = array.getattr("flags")?.getattr("writeable")?.extract()?;
+    let base = array.getattr("base")?;
+    if writeable || base.cast::<PyMemoryView>().is_err() {
+        return Ok(false);
+    }
+    let module = base.getattr("obj")?.get_type().module()?;
+    Ok(module == "pxr.Vt")
 }
 
 /// The single-scattering albedo that shows `color` behind a boundary; see [`dermis::subsurface::inversion`].

@@ -1,4 +1,4 @@
-//! Arrays of the flattened scene: owned, or a view into a memory-mapped `.dermis` file.
+//! Arrays of the flattened scene: owned, a view into a memory-mapped `.dermis` file, or memory of the caller's.
 //!
 //! serde carries numbers well but big arrays badly, so an [`Array`] serialises as its index into a
 //! table that rides beside the text for the length of one call ([`with_arrays`], [`collect_arrays`]).
@@ -61,6 +61,39 @@ enum Storage<T> {
         offset: usize,
         len: usize,
     },
+    /// Whole elements, aligned for `T` (checked where it is made).
+    Lent(Arc<Lent>),
+}
+
+/// Memory of the caller's that is read in place: a copy of a large mesh is not made for each who holds it.
+pub struct Lent {
+    bytes: std::ptr::NonNull<[u8]>,
+    /// What keeps the memory.
+    _owner: Box<dyn Send + Sync>,
+}
+
+// SAFETY: the bytes are only read, by the promise to `Lent::new` by everyone.
+unsafe impl Send for Lent {}
+// SAFETY: as above.
+unsafe impl Sync for Lent {}
+
+impl Lent {
+    /// # Safety
+    /// While `owner` lives, `bytes` are there and nobody writes to them.
+    pub unsafe fn new(bytes: std::ptr::NonNull<[u8]>, owner: Box<dyn Send + Sync>) -> Self {
+        Self { bytes, _owner: owner }
+    }
+
+    fn bytes(&self) -> &[u8] {
+        // SAFETY: the promise to `new`; the owner lives as long as `self`.
+        unsafe { self.bytes.as_ref() }
+    }
+}
+
+impl std::fmt::Debug for Lent {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Lent({} bytes)", self.bytes.len())
+    }
 }
 
 impl<T> Default for Array<T> {
@@ -82,7 +115,7 @@ impl<T: Element> Array<T> {
     /// Map, and range in bytes, of an array that is not in memory of its own.
     pub fn map(&self) -> Option<(&Mmap, usize, usize)> {
         match &self.0 {
-            Storage::Owned(_) => None,
+            Storage::Owned(_) | Storage::Lent(_) => None,
             Storage::Mapped { map, offset, len } => Some((map, *offset, *len * size_of::<T>())),
         }
     }
@@ -102,6 +135,7 @@ impl<T: Element> Deref for Array<T> {
             Storage::Mapped { map, offset, len } => {
                 bytemuck::cast_slice(&map[*offset..*offset + *len * size_of::<T>()])
             }
+            Storage::Lent(memory) => bytemuck::cast_slice(memory.bytes()),
         }
     }
 }
@@ -121,6 +155,7 @@ pub enum AnyArray {
     U8(Vec<u8>, usize),
     U16(Vec<u16>, usize),
     Mapped { map: Arc<Mmap>, offset: usize, len: usize, scalar: Scalar, components: usize },
+    Lent { memory: Arc<Lent>, scalar: Scalar, components: usize },
 }
 
 impl AnyArray {
@@ -131,7 +166,7 @@ impl AnyArray {
             AnyArray::I32(..) => Scalar::I32,
             AnyArray::U8(..) => Scalar::U8,
             AnyArray::U16(..) => Scalar::U16,
-            AnyArray::Mapped { scalar, .. } => *scalar,
+            AnyArray::Mapped { scalar, .. } | AnyArray::Lent { scalar, .. } => *scalar,
         }
     }
 
@@ -140,7 +175,7 @@ impl AnyArray {
         match self {
             AnyArray::F32(_, n) | AnyArray::F64(_, n) | AnyArray::I32(_, n) => *n,
             AnyArray::U8(_, n) | AnyArray::U16(_, n) => *n,
-            AnyArray::Mapped { components, .. } => *components,
+            AnyArray::Mapped { components, .. } | AnyArray::Lent { components, .. } => *components,
         }
     }
 
@@ -155,6 +190,7 @@ impl AnyArray {
             AnyArray::Mapped { map, offset, len, scalar, components } => {
                 &map[*offset..*offset + *len * scalar.size() * *components]
             }
+            AnyArray::Lent { memory, .. } => memory.bytes(),
         }
     }
 
@@ -185,8 +221,22 @@ impl AnyArray {
             AnyArray::U8(values, _) => cast_vec(values),
             AnyArray::U16(values, _) => cast_vec(values),
             AnyArray::Mapped { map, offset, len, .. } => Ok(Array(Storage::Mapped { map, offset, len })),
+            AnyArray::Lent { memory, .. } => lent(memory),
         }
     }
+}
+
+/// In place; copied where it is not aligned for its elements.
+fn lent<T: Element>(memory: Arc<Lent>) -> std::result::Result<Array<T>, String> {
+    let bytes = memory.bytes();
+    if bytemuck::try_cast_slice::<u8, T>(bytes).is_ok() {
+        return Ok(Array(Storage::Lent(memory)));
+    }
+    if bytes.len() % size_of::<T>() != 0 {
+        return Err(format!("array of {} bytes where elements have {}", bytes.len(), size_of::<T>()));
+    }
+    let values: Vec<T> = bytes.chunks_exact(size_of::<T>()).map(bytemuck::pod_read_unaligned).collect();
+    Ok(values.into())
 }
 
 fn cast_vec<A: Pod, T: Element>(values: Vec<A>) -> std::result::Result<Array<T>, String> {
@@ -248,3 +298,6 @@ impl<'de, T: Element> Deserialize<'de> for Array<T> {
         entry.into_array().map_err(D::Error::custom)
     }
 }
+
+#[cfg(test)]
+mod tests;

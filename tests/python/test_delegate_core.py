@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Gf, Usd, UsdGeom
+from pxr import Gf, Usd, UsdGeom, Vt
 
 core = pytest.importorskip("dermis._core")
 
 from dermis import hydra  # noqa: E402
+from dermis.hydra import Delegate  # noqa: E402
 from dermis.stage import flatten  # noqa: E402
 
 STAGE = """#usda 1.0
@@ -183,3 +185,48 @@ def test_a_refine_level_and_creases_are_edits_of_their_mesh():
     edited = flatten(stage)
     assert hydra.populate(delegate.core, edited, flat) == {"/Box": hydra.DirtyBits.TOPOLOGY}
     assert triangles() == (1, 48)
+
+
+def widths(points: object) -> Iterator[float]:
+    """Of a mesh that has them in a delegate, as often as they are asked for."""
+    delegate = Delegate()
+    triangle = {
+        "faceVertexCounts": np.array([3], np.int32),
+        "faceVertexIndices": np.arange(3, dtype=np.int32),
+    }
+    delegate.sync("/M", {"type": "Mesh", "points": points, **triangle})
+    while True:
+        yield delegate.core.bounds()[1][0]
+
+
+def test_arrays_are_shared_only_where_nobody_writes_to_them():
+    """USD copies its arrays when one of several owners writes; numpy does not."""
+    owned = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0)], np.float32)
+    of_usd = Vt.Vec3fArray.FromNumpy(owned)
+    frozen = owned.copy()
+    frozen.flags.writeable = False
+
+    def thaw() -> None:
+        frozen.flags.writeable = True
+        frozen[1, 0] = 7
+
+    for points, change in (
+        (owned, lambda: owned.__setitem__((1, 0), 7)),
+        (np.asarray(of_usd), lambda: of_usd.__setitem__(1, Gf.Vec3f(7, 0, 0))),
+        (frozen, thaw),
+    ):
+        width = widths(points)
+        assert next(width) == 1.0
+        change()
+        assert next(width) == 1.0
+
+
+def test_a_large_mesh_of_usd_is_in_memory_once():
+    def resident() -> int:
+        return 4096 * int(Path("/proc/self/statm").read_text().split()[1])
+
+    count = 2_000_000
+    points = np.asarray(Vt.Vec3fArray(count))
+    before, delegate = resident(), Delegate()
+    delegate.sync("/M", {"type": "Mesh", "points": points})
+    assert resident() - before < 12 * count / 4
