@@ -127,7 +127,7 @@ impl Camera {
     }
 
     fn moves(camera: &flat::Camera, settings: &RenderSettings, origin: DVec3) -> Option<Box<Keys<Stand>>> {
-        let keys = camera.transform_keys.as_ref().filter(|_| settings.moves() && camera.opens())?;
+        let keys = camera.transform_keys.as_ref().filter(|_| !settings.disable_motion_blur && camera.opens())?;
         let stands: Vec<Stand> = keys.transforms.iter().map(|matrices| Stand::of(&matrices[0], origin)).collect();
         stands.windows(2).any(|pair| pair[0] != pair[1]).then(|| Box::new(Keys::new(keys.times.clone(), stands)))
     }

@@ -76,8 +76,18 @@ pub struct FlatScene {
 }
 
 impl FlatScene {
-    /// Whether keys within the shutter count: it opens, and blur or vectors are wanted.
+    /// Whether things move in the picture: the shutter opens, and blur is wanted.
     pub fn moves(&self) -> bool {
-        self.settings.moves() && self.cameras.get(&self.settings.camera).is_some_and(Camera::opens)
+        !self.settings.disable_motion_blur && self.opens()
+    }
+
+    /// Whether the ways of things are asked for beside a sharp picture.
+    pub fn has_tracks(&self) -> bool {
+        let vectors = self.settings.aovs.iter().any(|aov| aov == "motionVector");
+        vectors && self.settings.disable_motion_blur && self.opens()
+    }
+
+    fn opens(&self) -> bool {
+        self.cameras.get(&self.settings.camera).is_some_and(Camera::opens)
     }
 }

@@ -111,13 +111,6 @@ pub struct RenderSettings {
     pub aovs: Vec<String>,
 }
 
-impl RenderSettings {
-    /// Whether keys within the shutter count: for blur, or for vectors of a sharp image.
-    pub fn moves(&self) -> bool {
-        !self.disable_motion_blur || self.aovs.iter().any(|aov| aov == "motionVector")
-    }
-}
-
 impl Default for RenderSettings {
     fn default() -> Self {
         Self {

@@ -9,6 +9,7 @@ use super::displace::Displacement;
 use super::image::{ImageCache, build_images};
 use super::instances::{Placer, note_missing_primvars, render_bounds};
 use super::mesh_lights::{compile_lights, emitting_meshes, link};
+use super::tracks::Tracks;
 use super::{Geometry, Instance, Scene, nesting};
 use crate::camera::Camera;
 use crate::error::{Error, Result, Warning};
@@ -53,11 +54,11 @@ pub struct CompileStats {
 /// Compiles a validated scene; `kept` spares the next call what has not changed.
 pub fn compile(flat: &FlatScene, kept: &mut Kept, warnings: &mut Vec<Warning>) -> Result<(Scene, CompileStats)> {
     let start = std::time::Instant::now();
-    let camera = flat.cameras.get(&flat.settings.camera).ok_or_else(|| Error::Prim {
+    let eye = flat.cameras.get(&flat.settings.camera).ok_or_else(|| Error::Prim {
         prim: flat.settings.camera.clone(),
         message: format!("no such camera; the scene has: {}", names(flat.cameras.keys())),
     })?;
-    let camera = Camera::compile(camera, &flat.settings);
+    let camera = Camera::compile(eye, &flat.settings);
     let Kept { geometry: cache, images, surfaces } = kept;
     build_images(&flat.images, images);
     let blas_built = build_geometry(flat, images, cache);
@@ -78,8 +79,9 @@ pub fn compile(flat: &FlatScene, kept: &mut Kept, warnings: &mut Vec<Warning>) -
     let companies = companies(&instances, &boxes, &surfaces, &lights, &sets);
     let mut scene = Scene {
         moves,
-        frozen: (!anything_moves || flat.settings.disable_motion_blur).then(|| camera.time_of_frame()),
+        frozen: (!anything_moves).then(|| camera.time_of_frame()),
         alike: alike(&instances, &surfaces, &lights, &companies),
+        tracks: Tracks::of(flat, eye, &instances, cache, images),
         companies,
         camera_within: Vec::new(),
         tlas: Tlas::build(&boxes),

@@ -23,6 +23,7 @@ mod pyramid;
 mod rays;
 mod shading;
 mod strands;
+mod tracks;
 
 pub use company::Around;
 pub use compile::{CompileStats, Kept, compile};
@@ -128,6 +129,8 @@ pub struct Scene {
     moves: bool,
     /// The one time of all paths; `None`: anything may move, and each has its own.
     pub frozen: Option<f32>,
+    /// `None`: the scene knows itself how things move, or nobody asks.
+    tracks: Option<Box<tracks::Tracks>>,
 }
 
 /// The scene at a time of the shutter, 0 where it opens, 1 where it closes: what one path sees.
@@ -214,6 +217,9 @@ impl Scene {
     pub fn motion_vector(&self, of: &OnSurface) -> Vec2 {
         let instance = &self.instances[of.instance as usize];
         let at = |time: f32| {
+            if let Some(tracks) = &self.tracks {
+                return tracks.raster(instance, of, time);
+            }
             let [a, b, c] = instance.geometry.corners(of.triangle, time);
             let (u, v) = (of.barycentric.x, of.barycentric.y);
             self.camera.raster(instance.placed(time).point(a * (1.0 - u - v) + b * u + c * v), time)

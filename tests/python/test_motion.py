@@ -606,6 +606,89 @@ def test_motion_vectors_are_pixels_over_the_shutter() -> None:
     np.testing.assert_allclose(still["motionVector"][8, 16], [-8.0, 0.0], atol=1e-3)
 
 
+ALL_THAT_MOVES = (
+    square(
+        """    float xformOp:rotateZ.timeSamples = { 0: 0, 2: 140 }
+    double3 xformOp:translate.timeSamples = { 0: (-2, 0, 0), 1.2: (0.3, 0.4, 0), 2: (1, 1, 0) }
+    uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateZ"]""",
+        f".timeSamples = {{ 0: {CORNERS}, 1: {CORNERS.replace('0.5, 0.5, 0', '0.7, 0.9, 0.2')}, 2: {CORNERS} }}",
+    )
+    + """
+def SphereLight "Lamp"
+{
+    float inputs:intensity = 40
+    double3 xformOp:translate.timeSamples = { 0: (-2, 1, 3), 2: (2, 2, 3) }
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+}
+"""
+)
+
+
+@pytest.mark.parametrize("shutter", [(-0.5, 0.5), (0.0, 0.6), (0.2, 0.7)])
+def test_vectors_of_a_sharp_picture_leave_it_as_it_is(shutter: tuple[float, float]) -> None:
+    """Bit for bit that of the frame, wherever it is in the shutter; the vectors are those of the blurred one."""
+    text = camera(*shutter, translate=".timeSamples = {0: (-0.3, 0, 10), 2: (0.3, 0.2, 10)}") + ALL_THAT_MOVES
+    settings = {"samples": 32, "disableMotionBlur": True}
+    plain = render(text, **settings, aovs=["alpha", "normal", "depth"])
+    vectors = render(text, **settings, aovs=["alpha", "normal", "depth", "motionVector"])
+    frame = render(text.replace("shutter:", "off:"), samples=32, aovs=["alpha", "normal", "depth"])
+    for name in ("color", "alpha", "normal", "depth"):
+        np.testing.assert_array_equal(vectors[name], plain[name])
+        np.testing.assert_array_equal(vectors[name], frame[name])
+    blurred = render(text, samples=4096, aovs=["alpha", "motionVector"])
+    middle = vectors["alpha"][..., 0] > 0.999
+    assert middle.sum() > 4 and np.abs(vectors["motionVector"]).max() > 2.0
+    # Both are of points of one square that turns: what the pixel shows differs, but not by the size of the square.
+    span = np.ptp(vectors["motionVector"][middle], axis=0)
+    off = vectors["motionVector"][middle].mean(axis=0) - blurred["motionVector"][
+        blurred["alpha"][..., 0] > 0.4
+    ].mean(axis=0)
+    assert (np.abs(off) < 0.5 * span + 0.5).all()
+
+
+HIDDEN = {
+    "prim": """def Xform "Rig"
+{
+    token visibility = "invisible"
+    double3 xformOp:translate.timeSamples = {0: (-2, 0, 10), 2: (2, 0, 10)}
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+    %s
+}
+""",
+    "instance": """class Xform "Source"
+{
+    %s
+}
+def Xform "Rig" (
+    instanceable = true
+    references = </Source>
+)
+{
+    token visibility = "invisible"
+    double3 xformOp:translate.timeSamples = {0: (-2, 0, 10), 2: (2, 0, 10)}
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+}
+""",
+}
+
+
+@pytest.mark.parametrize("kind", HIDDEN)
+def test_cameras_move_in_what_is_invisible(kind: str) -> None:
+    eye = (
+        camera().split(")\n", 1)[1].replace("xformOp:translate = (0, 0, 10)", "xformOp:translate = (0, 0, 0)")
+    )
+    head = camera().split("def Camera")[0]
+    seen = alpha(camera(translate=".timeSamples = {0: (-2, 0, 10), 2: (2, 0, 10)}") + square())
+    hidden = stage_of(head + HIDDEN[kind] % eye + square())
+    assert "transformKeys" in flatten(hidden, 1.0, Options(camera="/Rig/main_cam")).prims["/Rig/main_cam"]
+    for name in ("/Rig/main_cam", "main_cam", ""):
+        chosen = {"camera": name} if name else {}
+        found = dermis.render(
+            hidden, time=1.0, samples=4096, aovs=["alpha"], resolution=(WIDTH, HEIGHT), **chosen
+        )
+        np.testing.assert_array_equal(found["alpha"][..., 0], seen)
+
+
 def test_edits_give_the_image_of_a_fresh_load() -> None:
     grown = CORNERS.replace("0.5, 0)]", "0.9, 0)]")
     text = camera() + square(
