@@ -5,10 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from command_line import channels, run
-from looked_up import camera, primvar, quads, render
+from looked_up import camera, primvar, quads, render, stage_of
+from pxr import UsdGeom
 from test_instance_primvars import TINTS, instancer, listed
 
+from dermis.hydra import Delegate, DirtyBits, populate
+from dermis.stage import Options, flatten
+
 dermis = pytest.importorskip("dermis")
+
 
 HEATS = [0.25, 3.5, -2.0, 100.0]
 BARE = {
@@ -82,6 +87,26 @@ def test_what_no_mesh_has_is_said():
     image = render(row(), 4, samples=1, aovs=["primvars:nothing"])
     assert said(image) == ["aovs: primvars:nothing: no mesh has it; it is black"]
     assert not image["primvars:nothing"].any()
+
+
+@pytest.mark.parametrize("asked", ["settings of the delegate", "options"])
+def test_they_are_there_after_an_edit_of_the_prim(asked):
+    """No material reads the primvar: only the AOV asks for it."""
+    stage = stage_of(row() + camera(4))
+    options = Options(aovs=("primvars:heat",))
+    flat = flatten(stage, options=options)
+    delegate = Delegate()
+    populate(delegate.core, flat)
+    delegate.set_settings(camera="/Eye", resolution=[12, 3], samples=1, aovs=["primvars:heat"])
+    mesh = next(prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh))
+    UsdGeom.PrimvarsAPI(mesh).GetPrimvar("heat").Set([2.0 * heat for heat in HEATS])
+    options = options if asked == "options" else None
+    delegate.sync(str(mesh.GetPath()), mesh, DirtyBits.PRIMVAR, options=options)
+    delegate.commit()
+    delegate.start()
+    assert delegate.wait(60.0)
+    found = delegate.snapshot()["primvars:heat"][1, 1::3, 0]
+    np.testing.assert_allclose(found, 2.0 * np.array(HEATS), rtol=1e-6)
 
 
 def stage_with_vars(folder, *flags: str) -> int:

@@ -5,6 +5,7 @@ from typing import Any
 
 from pxr import Gf, Tf, Usd, UsdGeom, UsdUtils
 
+from .index import index_of
 from .reading import Reader, Report, finite
 
 APERTURES = {
@@ -73,10 +74,11 @@ def find_camera(stage: Usd.Stage, name_or_path: str = "") -> UsdGeom.Camera | No
     if "/" in name_or_path:
         prim = stage.GetPrimAtPath(name_or_path) if name_or_path.startswith("/") else Usd.Prim()
         return UsdGeom.Camera(prim) if prim and prim.IsA(UsdGeom.Camera) else None
-    for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
-        if prim.GetName() == name_or_path and prim.IsA(UsdGeom.Camera):
-            return UsdGeom.Camera(prim)
-    return None
+    found = index_of(stage).cameras(stage, name_or_path)
+    if len(found) > 1:  # the first that usdrecord comes across
+        alike, every = set(found), stage.Traverse(Usd.TraverseInstanceProxies())
+        found = [next(prim for prim in every if prim in alike)]
+    return UsdGeom.Camera(found[0]) if found else None
 
 
 def camera_fields(camera: UsdGeom.Camera, time: Usd.TimeCode, report: Report | None = None) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """From what the walk found to the flat prims: arrays read, materials bound, instances placed."""
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -16,11 +17,19 @@ from .mesh import MESH_TYPES, flatten_mesh, flatten_read_primvars, flatten_subse
 from .points import flatten_points
 from .reading import Reader
 from .shaders import HAIR
-from .skel import Skins
+from .skel import Skins, is_skinned
 from .sync_mode import respond, sync_mode
 from .walk import Found, Frame, canonical_path
 
 Prim = dict[str, Any]
+
+
+@dataclass
+class Still:
+    """What was read of a mesh without samples: fields, and the primvars that materials read, by their names."""
+
+    fields: Prim
+    primvars: dict[Any, Prim] = field(default_factory=dict)
 
 
 class Emitter:
@@ -44,6 +53,9 @@ class Emitter:
         self.bindables: list[tuple[Usd.Prim, Prim]] = []
         # Meshes whose primvars wait for their materials to say which they read.
         self.meshes: list[tuple[Found, Prim]] = []
+        # Meshes without samples: of this flattening, and of one before.
+        self.still: dict[str, Still] = {}
+        self.known: dict[str, Still] = {}
         # Mesh lights whose sync mode waits for their materials: mode, mesh, light.
         self.synced: list[tuple[Found, str, Prim, Prim]] = []
 
@@ -100,7 +112,7 @@ class Emitter:
 
     def mesh(self, found: Found) -> Prim | None:
         """The mesh without its place; its bindings are noted for `bind`."""
-        fields = flatten_mesh(found.prim, found.kind, self.reader, found.context.inherited(), self.skins)
+        fields = self.fields(found)
         if fields is None:
             return None
         mesh = {"type": "Mesh", "visible": found.context.visible, "material": "", "instancer": "", **fields}
@@ -111,6 +123,19 @@ class Emitter:
         self.bindables.extend(subsets)
         mesh["geomSubsets"] = [subset for _, subset in subsets]
         return mesh
+
+    def fields(self, found: Found) -> Prim | None:
+        """As they were read before, where they cannot be others."""
+        still = self.known.get(found.key)
+        if still is None:
+            said = len(self.reader.report.warnings)
+            inherited = found.context.inherited()
+            fields = flatten_mesh(found.prim, found.kind, self.reader, inherited, self.skins)
+            if fields is None or len(self.reader.report.warnings) > said or not is_still(found):
+                return fields
+            still = Still(fields)
+        self.still[found.key] = still
+        return dict(still.fields)
 
     def points(self, found: Found, placements: Placements) -> None:
         """A sphere, and an instancer of its own that places it for every point in every placement of the prim."""
@@ -211,12 +236,21 @@ class Emitter:
             if name in names:
                 names[name] = ""
         if names or hair:
-            inherited = found.context.inherited()
-            primvars = flatten_read_primvars(
-                found.prim, found.kind, mesh, names, hair, self.reader, inherited
-            )
+            primvars = self.primvars(found, mesh, names, hair)
             if primvars:
                 mesh["primvars"] = primvars
+
+    def primvars(self, found: Found, mesh: Prim, names: dict[str, str], hair: bool) -> Prim:
+        """As `fields`."""
+        still, asked = self.still.get(found.key), (tuple(names.items()), hair)
+        if still and asked in still.primvars:
+            return still.primvars[asked]
+        said = len(self.reader.report.warnings)
+        inherited = found.context.inherited()
+        primvars = flatten_read_primvars(found.prim, found.kind, mesh, names, hair, self.reader, inherited)
+        if still and len(self.reader.report.warnings) == said:
+            still.primvars[asked] = primvars
+        return primvars
 
     def material(self, prim: Usd.Prim) -> str:
         key = canonical_path(prim)
@@ -227,6 +261,15 @@ class Emitter:
                 self.reader.warn(prim, f"cannot be read ({error}); displayColor is used")
                 self.prims[key] = {"type": "Material", "shader": "UsdPreviewSurface"}
         return key
+
+
+def is_still(found: Found) -> bool:
+    """Whether a mesh is the same at all times: nothing of it has samples, velocities or joints."""
+    prim, names = found.prim, found.prim.GetAuthoredPropertyNames()
+    if "velocities" in names or found.context.skel or is_skinned(prim):
+        return False
+    inherited = [primvar.GetAttr() for primvar in found.context.inherited().values()]
+    return not any(a.ValueMightBeTimeVarying() for a in (*prim.GetAuthoredAttributes(), *inherited))
 
 
 def primvar_fields(values: Any) -> Prim:

@@ -230,16 +230,3 @@ def number(value: Any, name: str) -> Value:
     if value.width > 4:
         raise Unsupported(f"inputs:{name} has {value.width} numbers")
     return value
-
-
-def primvars_read(stage: Usd.Stage) -> set[str]:
-    """Names of the primvars that shaders of a stage read."""
-    names = set()
-    for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
-        if prim.GetTypeName() == "Shader":
-            for name in ("varname", "geomprop"):
-                shader_input = UsdShade.Shader(prim).GetInput(name)
-                if shader_input:
-                    for attribute in UsdShade.Utils.GetValueProducingAttributes(shader_input):
-                        names.add(str(attribute.Get() or ""))
-    return names - {""}

@@ -2,6 +2,7 @@
 next."""
 
 import json
+from dataclasses import replace
 from enum import IntFlag
 from typing import Any
 
@@ -184,7 +185,10 @@ class Delegate:
     def _sync_stage_prim(
         self, path: str, prim: Usd.Prim, bits: DirtyBits, time: Any, options: Options | None
     ) -> None:
-        flat = flatten_prim(prim, time, options)
+        options = options or Options()
+        # Their primvars are read of every prim.
+        aovs = json.loads(self.core.settings()).get("aovs", ())
+        flat = flatten_prim(prim, time, replace(options, aovs=(*options.aovs, *aovs)))
         root = str(prim.GetPath())
         for key, fields in flat.prims.items():
             if key == root or key.startswith((root + "/", root + "[", root + ".")):

@@ -235,18 +235,18 @@ def column(parts: list[Placements], name: str, width: int) -> NDArray[np.float32
 def topological(edges: dict[Any, list[tuple[Any, Placements]]], root: Any, warn: Any) -> list[Any]:
     """Parents before children; cuts `edges` that close a cycle."""
     order: list[Any] = []
-    state: dict[Any, str] = {}
-
-    def visit(frame: Any) -> None:
-        state[frame] = "open"
-        for child, _ in list(edges.get(frame, [])):
-            if state.get(child) == "open":
-                edges[frame] = [edge for edge in edges[frame] if edge[0] is not child]
-                warn(child)
-            elif child not in state:
-                visit(child)
-        state[frame] = "done"
-        order.append(frame)
-
-    visit(root)
+    visit(root, edges, {}, order, warn)
     return order[::-1]
+
+
+def visit(frame: Any, edges: dict, state: dict[Any, str], order: list[Any], warn: Any) -> None:
+    """Appends a frame to `order`, behind those within it."""
+    state[frame] = "open"
+    for child, _ in list(edges.get(frame, [])):
+        if state.get(child) == "open":
+            edges[frame] = [edge for edge in edges[frame] if edge[0] is not child]
+            warn(child)
+        elif child not in state:
+            visit(child, edges, state, order, warn)
+    state[frame] = "done"
+    order.append(frame)

@@ -6,10 +6,9 @@ from typing import Any
 
 from pxr import Sdf, Usd, UsdGeom, UsdLux
 
-from .reading import Reader, usd_words
+from .reading import Report, usd_words
 
 LINKS = ("lightLink", "shadowLink")
-EVERY = Usd.TraverseInstanceProxies(Usd.PrimIsActive & Usd.PrimIsLoaded)
 
 
 @dataclass(frozen=True)
@@ -44,30 +43,33 @@ class Collection:
             return any(not instancer.HasPrefix(prefix) for prefix in named)
         return path.HasPrefix(instancer) and own != bool(self.query.IsPathIncluded(instancer))
 
-    def is_even_below(self, path: Sdf.Path) -> bool:
-        """Whether everything below the path is in if the path is."""
-        return self.rules is not None and not any(
-            named.HasPrefix(path) and named != path for named in self.rules
-        )
-
 
 class Links:
-    """The collections of a stage that leave something out; equal ones count once."""
+    """The collections of a stage's lights that leave something out; equal ones count once.
 
-    def __init__(self, stage: Usd.Stage, reader: Reader) -> None:
+    Rules name few paths, instances are many: what no rule names is a member where its neighbours are, so rules are
+    asked once for all of them.
+    """
+
+    def __init__(self, lights: Iterable[Usd.Prim], report: Report) -> None:
         self.collections: list[Collection] = []
         self.names: dict[tuple[str, str], str] = {}
         known: dict[Any, str] = {}
-        for prim in Usd.PrimRange.Stage(stage, EVERY):
-            if prim.HasAPI(UsdLux.LightAPI):
-                for link in LINKS:
-                    self.add(prim, link, known, reader)
+        for prim in lights:
+            for link in LINKS:
+                self.add(prim, link, known, report)
+        #: Whether rules are all there is; expressions know more of a prim than its path.
+        self.by_rules = all(collection.rules is not None for collection in self.collections)
+        self._named = {path for collection in self.collections for path in collection.rules or ()}
+        self._above = {above for path in self._named for above in path.GetParentPath().GetPrefixes()}
+        self._above.add(Sdf.Path.absoluteRootPath)
+        self._members: dict[tuple[Sdf.Path, Placer | None], tuple[bool, ...]] = {}
 
-    def add(self, prim: Usd.Prim, link: str, known: dict[Any, str], reader: Reader) -> None:
+    def add(self, prim: Usd.Prim, link: str, known: dict[Any, str], report: Report) -> None:
         try:
             query = collection_api(prim, link).ComputeMembershipQuery()
         except Exception as error:  # a damaged collection must not cost the picture
-            reader.warn(prim, f"collection:{link}: {usd_words(error)}; the light is for everything")
+            report.warn(prim, f"collection:{link}: {usd_words(error)}; the light is for everything")
             return
         collection = Collection(f"{prim.GetPath()}.collection:{link}", query)
         if collection.rules == {Sdf.Path.absoluteRootPath: "expandPrims"}:
@@ -84,6 +86,14 @@ class Links:
 
     def memberships(self, path: Sdf.Path, placer: Placer | None) -> tuple[bool, ...]:
         """Of a prim, per collection."""
+        if not self.by_rules or path in self._named:
+            return self.asked(path, placer)
+        alike = path.GetParentPath(), placer
+        if alike not in self._members:
+            self._members[alike] = self.asked(path, placer)
+        return self._members[alike]
+
+    def asked(self, path: Sdf.Path, placer: Placer | None) -> tuple[bool, ...]:
         if placer is None:
             return tuple(c.has(path) for c in self.collections)
         within = zip(self.collections, placer.within, strict=True)
@@ -98,7 +108,7 @@ class Links:
         """What is in which collection within a native instance: alike instances give alike answers."""
         path = instance.GetPath()
         own = self.memberships(path, placer)
-        if all(collection.is_even_below(path) for collection in self.collections):
+        if self.by_rules and path not in self._above:
             return own
         prims: Iterable[Usd.Prim] = Usd.PrimRange(instance, predicate)
         shown = [p.GetPath() for p in prims if p.IsA(UsdGeom.Imageable)]

@@ -6,32 +6,25 @@ straight from one matrix to the next, as Hydra does.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Gf, Usd, UsdGeom, UsdSkel
+from pxr import Gf, Usd, UsdGeom
 
+from .index import MOVING, index_of
 from .instancer import Matrices, Placements, nested
+from .linking import Links
 from .mesh import MESH_TYPES, flatten_mesh
 from .points import flatten_points
 from .reading import Reader, Report
-from .skel import Skins
+from .skel import Skins, is_skinned
 from .walk import Found, Frame, Walk
 
 Prim = dict[str, Any]
-
-MOVING = frozenset(
-    (
-        *("points", "normals", "primvars:normals", "velocities", "accelerations"),
-        *("positions", "orientations", "orientationsf", "scales", "angularVelocities"),
-        *("rotations", "translations", "blendShapeWeights"),
-        *("size", "radius", "height", "length", "width"),
-    )
-)
-"""Attributes whose samples are times at which something may move, beside xformOps."""
 
 UNSAMPLED = {
     "Camera": (
@@ -82,7 +75,8 @@ class Shutter:
 
 @dataclass
 class Scene:
-    """What is sampled: `found` and placements of the frame, and how to walk again."""
+    """What is sampled: `found` and placements of the frame, and how to walk again. `cameras`: those that the walk does
+    not come to."""
 
     stage: Usd.Stage
     reader: Reader
@@ -90,6 +84,8 @@ class Scene:
     binding_purposes: tuple[str, ...]
     root: Usd.Prim | None
     placements: dict[Frame, Placements]
+    links: Links
+    cameras: list[Usd.Prim] = field(default_factory=list)
 
     def at(self, time: float) -> Reader:
         """Reads what moves at `time`, all else at the frame. What it has to say was said at the frame."""
@@ -98,7 +94,14 @@ class Scene:
         return reader
 
     def walk(self, reader: Reader) -> dict[Frame, Placements]:
-        return Walk(self.stage, reader, self.purposes, self.binding_purposes).run(self.root)
+        return Walk(self.stage, reader, self.purposes, self.binding_purposes, self.links).run(self.root)
+
+    def standing(self, reader: Reader) -> Iterator[tuple[str, Matrices]]:
+        """Where the cameras are that the walk does not come to."""
+        place = UsdGeom.XformCache(reader.moment).GetLocalToWorldTransform
+        for camera in self.cameras:
+            matrix = reader.transform(camera, place, Gf.Matrix4d(1.0))
+            yield str(camera.GetPath()), np.array(matrix)[None]
 
 
 def add_motion(prims: dict[str, Prim], scene: Scene, shutter: Shutter) -> None:
@@ -143,7 +146,7 @@ def owners(scene: Scene, placements: dict[Frame, Placements]) -> dict[str, tuple
             own = scale(each.prim), each.prim
             found |= {key: own for key, _ in places(each, matrices)}
             found[each.key] = own
-    return found
+    return found | {str(camera.GetPath()): (scale(camera), camera) for camera in scene.cameras}
 
 
 def places(found: Found, matrices: Matrices) -> Iterator[tuple[str, Matrices]]:
@@ -177,7 +180,7 @@ class Sampling:
         self.taken: dict[float, dict[str, Matrices]] = {}
 
     def add(self) -> None:
-        shares = self.refined(self.authored())
+        shares = self.shares
         for key, owner in self.owners.items():
             # Points are placed by an instancer of their own, which moves in their stead.
             if key in self.prims and f"{key}.placed" not in self.prims:
@@ -187,20 +190,24 @@ class Sampling:
                 if found.key in self.owners and found.key in self.prims:
                     self.deformation(found, shares)
 
+    @cached_property
+    def shares(self) -> NDArray:
+        return self.refined(self.authored())
+
+    @cached_property
+    def skins(self) -> list[Skins]:
+        """By share, each with its reader: skeletons move all their meshes."""
+        times = self.shutter.times(self.shares, self.scale)
+        return [Skins(self.scene.at(float(time))) for time in times]
+
     def authored(self) -> NDArray:
         """The ends, and where the stage has samples in between; evenly spread ones where motion is not linear."""
         ends = self.shutter.times(np.array([0.0, 1.0]), self.scale)
         span, times, count = Gf.Interval(*ends, False, False), set(), 2
-        roots = [self.scene.stage.GetPseudoRoot(), *self.scene.stage.GetPrototypes()]
-        for prim in (p for root in roots for p in Usd.PrimRange(root, Usd.PrimAllPrimsPredicate)):
-            names = prim.GetAuthoredPropertyNames()
-            for name in names:
-                if name in MOVING or name.startswith("xformOp:"):
-                    attribute = prim.GetAttribute(name)
-                    if attribute:
-                        times.update(attribute.GetTimeSamplesInInterval(span))
-            bends = "accelerations" in names or "angularVelocities" in names or prim.IsA(UsdSkel.Skeleton)
-            if bends:
+        for prim, facts in index_of(self.scene.stage).movers(self.scene.stage):
+            for name in facts.moving:
+                times.update(prim.GetAttribute(name).GetTimeSamplesInInterval(span))
+            if facts.bends:
                 count = max(
                     count, UsdGeom.MotionAPI(prim).ComputeNonlinearSampleCount(self.scene.reader.time)
                 )
@@ -216,7 +223,9 @@ class Sampling:
         if share not in self.taken:
             time = float(self.shutter.times(share, self.scale))
             found = {}
-            for frame, of_frame in self.scene.walk(self.scene.at(time)).items():
+            reader = self.scene.at(time)
+            found.update(self.scene.standing(reader))
+            for frame, of_frame in self.scene.walk(reader).items():
                 matrices = of_frame.matrices
                 if frame.root:
                     found[f"{frame.base}.instances"] = matrices
@@ -259,15 +268,14 @@ class Sampling:
     def deformation(self, found: Found, shares: NDArray) -> None:
         if found.kind != "Points" and not may_deform(found.prim):
             return
-        at = [self.scene.at(float(time)) for time in self.shutter.times(shares, self.scale)]
         if found.kind == "Points":
-            self.spheres(found, shares, at)
+            self.spheres(found, shares)
         elif found.kind in MESH_TYPES:
-            self.points(found, shares, at)
+            self.points(found, shares)
 
-    def points(self, found: Found, shares: NDArray, at: list[Reader]) -> None:
+    def points(self, found: Found, shares: NDArray) -> None:
         mesh, inherited = self.prims[found.key], found.context.inherited()
-        sampled = [flatten_mesh(found.prim, found.kind, reader, inherited, Skins(reader)) for reader in at]
+        sampled = [flatten_mesh(found.prim, found.kind, at.reader, inherited, at) for at in self.skins]
         points = [there["points"] if there else np.zeros((0, 3)) for there in sampled]
         if any(len(p) != len(mesh["points"]) for p in points):
             message = "points: their number changes while the shutter is open and there are no velocities"
@@ -275,7 +283,7 @@ class Sampling:
             return
         normals = [there["normals"]["values"] for there in sampled if there and "normals" in there]
         own = mesh.get("normals", {}).get("values")
-        if own is None or len(normals) != len(at) or any(n.shape != own.shape for n in normals):
+        if own is None or len(normals) != len(shares) or any(n.shape != own.shape for n in normals):
             normals = []
         both = [np.concatenate(pair) for pair in zip(points, normals, strict=True)] if normals else points
         kept = needed(shares, both, lambda p: SAME * max(np.ptp(p, axis=0).max(initial=0.0), 1e-30))
@@ -287,11 +295,11 @@ class Sampling:
         for key in mesh_keys(found, self.prims):
             self.prims[key]["pointKeys"] = keys
 
-    def spheres(self, found: Found, shares: NDArray, at: list[Reader]) -> None:
+    def spheres(self, found: Found, shares: NDArray) -> None:
         key = f"{found.key}.points"
         sampled = []
-        for share, reader in zip(shares, at, strict=True):
-            there = flatten_points(found.prim, reader, found.context.inherited())
+        for share, at in zip(shares, self.skins, strict=True):
+            there = flatten_points(found.prim, at.reader, found.context.inherited())
             placed = self.matrices(share).get(f"{found.key}.placed", np.zeros((0, 4, 4)))
             sampled.append(nested(there.matrices, placed) if there and len(placed) else np.zeros((0, 4, 4)))
         if any(len(m) != len(self.prims[key]["transforms"]) for m in sampled):
@@ -316,9 +324,7 @@ def mesh_keys(found: Found, prims: dict[str, Prim]) -> list[str]:
 def may_deform(prim: Usd.Prim) -> bool:
     """Whether its points may move: they have samples or velocities, or joints or shapes move them."""
     names = prim.GetAuthoredPropertyNames()
-    if prim.HasAPI(UsdSkel.BindingAPI) or any(name.startswith(("skel:", "primvars:skel:")) for name in names):
-        return True
-    if "velocities" in names:
+    if is_skinned(prim) or "velocities" in names:
         return True
     return any(name in MOVING and prim.GetAttribute(name).ValueMightBeTimeVarying() for name in names)
 

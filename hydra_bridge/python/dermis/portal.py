@@ -5,6 +5,7 @@ from typing import Any
 
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom
 
+from .index import index_of
 from .reading import Reader
 
 Fields = dict[str, Any]
@@ -36,7 +37,7 @@ def flatten_portal(prim: Usd.Prim, reader: Reader) -> Fields:
 
 def domes_through(root: Usd.Prim) -> Iterator[Usd.Prim]:
     """Domes elsewhere on the stage with a portal at or below `root`."""
-    for prim in Usd.PrimRange.Stage(root.GetStage(), Usd.TraverseInstanceProxies()):
+    for prim in index_of(root.GetStage()).domes(root.GetStage()):
         if prim.GetPath().HasPrefix(root.GetPath()):
             continue
         if any(path.HasPrefix(root.GetPath()) for path in targets(prim)):

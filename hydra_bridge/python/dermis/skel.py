@@ -11,29 +11,37 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Gf, Usd, UsdGeom, UsdSkel, Vt
 
+from .index import index_of
 from .reading import Reader
 
 Mesh = dict[str, Any]
 
 
+def is_skinned(prim: Usd.Prim) -> bool:
+    """Whether joints or shapes may move its points."""
+    names = prim.GetAuthoredPropertyNames()
+    return prim.HasAPI(UsdSkel.BindingAPI) or any(n.startswith(("skel:", "primvars:skel:")) for n in names)
+
+
 class Skins:
-    """Skeletons at one time. Each SkelRoot has a cache of its own: instances that share a skeleton may bind
-    different animations to it."""
+    """Skeletons at one time, of each SkelRoot: instances that share a skeleton may bind different animations to it."""
 
     def __init__(self, reader: Reader) -> None:
         self.reader = reader
         self.xforms = UsdGeom.XformCache(reader.moment)
-        self.caches: dict[str, UsdSkel.Cache] = {}
+        #: Skinning transforms by SkelRoot and skeleton.
+        self.joints: dict[tuple[str, str], Vt.Matrix4dArray | None] = {}
 
     def deform(self, prim: Usd.Prim, mesh: Mesh) -> None:
         """Moves `points` and `normals` of a flat mesh; outside a SkelRoot nothing moves (UsdSkel)."""
         root = UsdSkel.Root.Find(prim)
         if not root:
             return
-        query = self.cache(root).GetSkinningQuery(prim)
+        cache = index_of(prim.GetStage()).skeletons_of(root)
+        query = cache.GetSkinningQuery(prim)
         if not query:
             return
-        skeleton = self.cache(root).GetSkelQuery(UsdSkel.BindingAPI(prim).GetInheritedSkeleton())
+        skeleton = cache.GetSkelQuery(UsdSkel.BindingAPI(prim).GetInheritedSkeleton())
         if not skeleton:
             self.reader.warn(prim, "skel:skeleton: there is no usable skeleton; the mesh stays at rest")
             return
@@ -43,15 +51,16 @@ class Skins:
             self.blend(prim, query, skeleton, points, normals)
         mesh["points"] = np.asarray(points)
         if query.HasJointInfluences():
-            mesh["points"] = self.skin(prim, query, skeleton, points, normals)
+            joints = self.transforms(root, skeleton)
+            mesh["points"] = self.skin(prim, query, skeleton, joints, points, normals)
         normals.store(mesh)
 
-    def cache(self, root: UsdSkel.Root) -> UsdSkel.Cache:
-        path = str(root.GetPath())
-        if path not in self.caches:
-            self.caches[path] = UsdSkel.Cache()
-            self.caches[path].Populate(root, Usd.TraverseInstanceProxies())
-        return self.caches[path]
+    def transforms(self, root: UsdSkel.Root, skeleton: UsdSkel.SkeletonQuery) -> Vt.Matrix4dArray | None:
+        """Of the joints, from rest."""
+        key = str(root.GetPath()), str(skeleton.GetPrim().GetPath())
+        if key not in self.joints:
+            self.joints[key] = skeleton.ComputeSkinningTransforms(self.reader.moment)
+        return self.joints[key]
 
     def blend(
         self,
@@ -85,11 +94,11 @@ class Skins:
         prim: Usd.Prim,
         query: UsdSkel.SkinningQuery,
         skeleton: UsdSkel.SkeletonQuery,
+        joints: Vt.Matrix4dArray | None,
         points: Vt.Vec3fArray,
         normals: "Normals",
     ) -> NDArray:
         """The points in the mesh's own space; joints move them in the skeleton's."""
-        joints = skeleton.ComputeSkinningTransforms(self.reader.moment)
         if not joints:
             self.reader.warn(prim, "skel:skeleton: it has no joint transforms; the mesh stays at rest")
             return np.asarray(points)

@@ -14,9 +14,9 @@ from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade
 from .aovs import PRIMVAR
 from .camera import auto_camera, camera_fields, find_camera, find_shutter
 from .colorspace import Colors
-from .emit import Emitter
-from .graph import primvars_read
+from .emit import Emitter, Still
 from .images import load_image
+from .index import index_of
 from .material import flatten_material
 from .motion import Scene, Shutter, add_motion
 from .portal import domes_through
@@ -83,7 +83,8 @@ class Options:
 class FlatStage:
     """`prims` by path or key; `stage`: fields of `flat::StageInfo`; `settings`: authored
     `flat::RenderSettings`; `warnings`: (prim, message) of everything dropped or replaced; `products`: the
-    files that the settings ask for; `purposes`: those rendered; `shutter`: open and close from the frame on."""
+    files that the settings ask for; `purposes`: those rendered; `shutter`: open and close from the frame on; `still`:
+    meshes without samples, by key, as they were read of the stage's `version`."""
 
     prims: dict[str, Prim] = field(default_factory=dict)
     stage: dict[str, Any] = field(default_factory=dict)
@@ -92,6 +93,8 @@ class FlatStage:
     products: list[Product] = field(default_factory=list)
     purposes: tuple[str, ...] = ("default",)
     shutter: tuple[float, float] = (0.0, 0.0)
+    still: dict[str, Still] = field(default_factory=dict)
+    version: int = -1
 
 
 def open_stage(path: str | Path, session_layer: str | Path | None = None, mask: Any = None) -> Usd.Stage:
@@ -122,36 +125,16 @@ def open_layer(path: str | Path) -> Sdf.Layer:
 
 
 def flatten(
-    stage: Usd.Stage, time: Usd.TimeCode | float | None = None, options: Options | None = None
+    stage: Usd.Stage,
+    time: Usd.TimeCode | float | None = None,
+    options: Options | None = None,
+    previous: FlatStage | None = None,
 ) -> FlatStage:
     """The stage at `time` (None: its first). Damage costs the prim and gives a warning, never an
-    exception."""
-    options = options or Options()
-    time = first_time(stage) if time is None else Usd.TimeCode(time)
-    reader = Reader(time, Report())
-    reader.primvars = tuple(sorted(primvars_read(stage) | {"st"}))
-    warn_composition(stage, reader.report)
-    settings = find_settings(stage, options.render_settings, reader)
-    reader.colors = Colors(
-        rendering_color_space(settings, reader, options.rendering_color_space), reader.warn
-    )
-    purposes = included_purposes(settings, reader) if options.purposes is None else options.purposes
-    flat = FlatStage(stage=stage_info(stage, time, reader), purposes=tuple(sorted({"default", *purposes})))
-    if settings:
-        flat.settings = flatten_settings(settings, reader)
-        flat.products = flatten_products(settings, reader)
-    shown = [*options.aovs, *flat.settings.get("aovs", ())]
-    shown += [layer["aov"] for product in flat.products for layer in product.layers or ()]
-    reader.show(aov.removeprefix(PRIMVAR) for aov in shown if aov.startswith(PRIMVAR))
-    binding = binding_purposes(settings, reader)
-    walk = Walk(stage, reader, flat.purposes, binding)
-    placements = walk.run()
-    flat.prims = Emitter(reader, binding, options.enable_dome_light_visibility, walk.links).emit(placements)
-    add_camera(stage, options.camera or flat.settings.get("camera", ""), flat, reader)
-    scene = Scene(stage, reader, flat.purposes, binding, None, placements)
-    sample_motion(flat, scene, options)
-    flat.warnings = reader.report.warnings
-    return flat
+    exception. `previous`: at another time, with the same options; meshes without samples are not read again."""
+    flattening = Flattening(stage, time, options or Options())
+    flattening.run(previous)
+    return flattening.flat
 
 
 def flatten_prim(
@@ -171,49 +154,116 @@ def flatten_prim(
 
 def flatten_alone(prim: Usd.Prim, time: Usd.TimeCode | float | None, options: Options) -> FlatStage:
     """[`flatten_prim`] without the domes."""
-    reader = Reader(first_time(prim.GetStage()) if time is None else Usd.TimeCode(time), Report())
-    reader.primvars = tuple(sorted(primvars_read(prim.GetStage()) | {"st"}))
-    settings = find_settings(prim.GetStage(), options.render_settings, reader)
-    reader.colors = Colors(
-        rendering_color_space(settings, reader, options.rendering_color_space), reader.warn
-    )
-    purposes = included_purposes(settings, reader) if options.purposes is None else options.purposes
-    binding = binding_purposes(settings, reader)
-    flat = FlatStage(purposes=tuple(sorted({"default", *purposes})))
+    flattening = Flattening(prim.GetStage(), time, options, prim)
     if prim.IsA(UsdShade.Material):
         images: dict[str, Prim] = {}
-        material = flatten_material(prim, reader, images)
-        flat.prims = {str(prim.GetPath()): material, **images}
+        material = flatten_material(prim, flattening.reader, images)
+        flattening.flat.prims = {str(prim.GetPath()): material, **images}
+        flattening.flat.warnings = flattening.reader.report.warnings
     else:
-        stage = prim.GetStage()
-        walk = Walk(stage, reader, flat.purposes, binding)
-        placements = walk.run(prim)
-        emitter = Emitter(reader, binding, options.enable_dome_light_visibility, walk.links)
-        flat.prims = emitter.emit(placements)
-        sample_motion(flat, Scene(stage, reader, flat.purposes, binding, prim, placements), options, settings)
-    flat.warnings = reader.report.warnings
-    return flat
+        flattening.run()
+    return flattening.flat
 
 
-def sample_motion(flat: FlatStage, scene: Scene, options: Options, settings: Usd.Prim | None = None) -> None:
-    """Adds the keys of what moves while the shutter of the camera is open."""
-    authored = flatten_settings(settings, Reader(scene.reader.time, Report())) if settings else flat.settings
-    wanted = options.motion
-    if wanted is None:
-        off = [
-            product.settings.get("disableMotionBlur", authored.get("disableMotionBlur"))
-            for product in flat.products
-        ]
-        layers = [layer["aov"] for product in flat.products for layer in product.layers or ()]
-        vectors = "motionVector" in (*layers, *authored.get("aovs", ()))
-        wanted = vectors or not all(off or [authored.get("disableMotionBlur")])
-    name = options.shutter_camera or options.camera or authored.get("camera", "")
-    camera = (find_camera(scene.stage, name) if name else None) or find_camera(scene.stage)
-    if camera is None:
-        return
-    flat.shutter = opens, closes = find_shutter(camera.GetPrim(), scene.reader)
-    if wanted and closes > opens:
-        add_motion(flat.prims, scene, Shutter(scene.reader.time.GetValue(), opens, closes))
+class Flattening:
+    """One look at a stage, or at `root` and below: the settings that decide, then the prims."""
+
+    def __init__(
+        self,
+        stage: Usd.Stage,
+        time: Usd.TimeCode | float | None,
+        options: Options,
+        root: Usd.Prim | None = None,
+    ) -> None:
+        self.stage, self.options, self.root = stage, options, root
+        time = first_time(stage) if time is None else Usd.TimeCode(time)
+        self.reader = reader = Reader(time, Report())
+        index = index_of(stage)
+        reader.primvars = tuple(sorted(index.primvars_read(stage) | {"st"}))
+        if root is None:
+            warn_composition(stage, reader.report)
+        settings = find_settings(stage, options.render_settings, reader)
+        space = rendering_color_space(settings, reader, options.rendering_color_space)
+        reader.colors = Colors(space, reader.warn)
+        purposes = included_purposes(settings, reader) if options.purposes is None else options.purposes
+        self.flat = FlatStage(purposes=tuple(sorted({"default", *purposes})), version=index.version)
+        if root is None:
+            self.flat.stage = stage_info(stage, time, reader)
+        self.authored, self.products = self.settings(settings)
+        if root is None:
+            self.flat.settings, self.flat.products = self.authored, self.products
+        reader.show(aov.removeprefix(PRIMVAR) for aov in self.aovs() if aov.startswith(PRIMVAR))
+        self.binding = binding_purposes(settings, reader)
+        self.links, said = index.links(stage)
+        for warning in said.warnings:
+            reader.warn(*warning)
+
+    def settings(self, prim: Usd.Prim | None) -> tuple[dict[str, Any], list[Product]]:
+        """Those of a RenderSettings prim, and its products. Their faults are said with the whole stage."""
+        reader = self.reader
+        if self.root is not None:
+            reader = Reader(reader.time, Report())
+            reader.colors = self.reader.colors
+        return (flatten_settings(prim, reader), flatten_products(prim, reader)) if prim else ({}, [])
+
+    def aovs(self) -> list[str]:
+        """All that are asked for."""
+        layers = [layer["aov"] for product in self.products for layer in product.layers or ()]
+        return [*self.options.aovs, *self.authored.get("aovs", ()), *layers]
+
+    def run(self, previous: FlatStage | None = None) -> None:
+        """Fills in the prims, and what was to be said."""
+        flat, reader = self.flat, self.reader
+        placements = Walk(self.stage, reader, flat.purposes, self.binding, self.links).run(self.root)
+        emitter = Emitter(reader, self.binding, self.options.enable_dome_light_visibility, self.links)
+        if previous is not None and previous.version == flat.version:
+            emitter.known = previous.still
+        flat.prims, flat.still = emitter.emit(placements), emitter.still
+        scene = Scene(self.stage, reader, flat.purposes, self.binding, self.root, placements, self.links)
+        scene.cameras = self.add_cameras()
+        self.sample_motion(scene)
+        flat.warnings = reader.report.warnings
+
+    def add_cameras(self) -> list[Usd.Prim]:
+        """Adds those to render from that the walk does not come to, as in an invisible instance. One that is not there
+        is dropped from the settings, with a warning."""
+        path = self.options.camera or self.authored.get("camera", "")
+        if path and self.root is None and find_camera(self.stage, path) is None:
+            self.reader.warn(path, "camera: there is no such camera; it is ignored")
+            if self.flat.settings.get("camera") == path:
+                del self.flat.settings["camera"]
+        names = [path, *(product.settings.get("camera", "") for product in self.products)]
+        asked = [find_camera(self.stage, name) for name in names if name]
+        below = self.root.GetPath() if self.root else Sdf.Path.absoluteRootPath
+        added = []
+        for camera in filter(None, (*asked, self.shutter_camera())):
+            if camera.GetPath().HasPrefix(below) and not is_camera(self.flat.prims, str(camera.GetPath())):
+                fields = camera_fields(camera, self.reader.time, self.reader.report)
+                self.flat.prims[str(camera.GetPath())] = fields
+                added.append(camera.GetPrim())
+        return added
+
+    def shutter_camera(self) -> UsdGeom.Camera | None:
+        """Whose shutter counts."""
+        name = self.options.shutter_camera or self.options.camera or self.authored.get("camera", "")
+        return (find_camera(self.stage, name) if name else None) or find_camera(self.stage)
+
+    def sample_motion(self, scene: Scene) -> None:
+        """Adds the keys of what moves while the shutter is open."""
+        camera = self.shutter_camera()
+        if camera is None:
+            return
+        self.flat.shutter = opens, closes = find_shutter(camera.GetPrim(), self.reader)
+        if self.wants_motion() and closes > opens:
+            add_motion(self.flat.prims, scene, Shutter(self.reader.time.GetValue(), opens, closes))
+
+    def wants_motion(self) -> bool:
+        """For blur in one of the products, or for vectors."""
+        if self.options.motion is not None:
+            return self.options.motion
+        off = self.authored.get("disableMotionBlur", False)
+        sharp = [product.settings.get("disableMotionBlur", off) for product in self.products] or [off]
+        return "motionVector" in self.aovs() or not all(sharp)
 
 
 def first_time(stage: Usd.Stage) -> Usd.TimeCode:
@@ -221,19 +271,6 @@ def first_time(stage: Usd.Stage) -> Usd.TimeCode:
     attributes may have no value."""
     start = stage.GetStartTimeCode()
     return Usd.TimeCode(start) if stage.HasAuthoredMetadata("startTimeCode") else Usd.TimeCode.EarliestTime()
-
-
-def add_camera(stage: Usd.Stage, path: str, flat: FlatStage, reader: Reader) -> None:
-    """Makes sure that the render camera is among the prims, or drops it from the settings with a warning."""
-    if not path or is_camera(flat.prims, path):
-        return
-    camera = find_camera(stage, path)
-    if camera:
-        flat.prims[path] = camera_fields(camera, reader.time, reader.report)
-        return
-    reader.warn(path, "camera: there is no such camera; it is ignored")
-    if flat.settings.get("camera") == path:
-        del flat.settings["camera"]
 
 
 def is_camera(prims: dict[str, Prim], path: str) -> bool:

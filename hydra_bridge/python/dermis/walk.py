@@ -91,13 +91,18 @@ class Walk:
     """Fills `world` and the frames below it."""
 
     def __init__(
-        self, stage: Usd.Stage, reader: Reader, purposes: Iterable[str], binding_purposes: tuple[str, ...]
+        self,
+        stage: Usd.Stage,
+        reader: Reader,
+        purposes: Iterable[str],
+        binding_purposes: tuple[str, ...],
+        links: Links,
     ) -> None:
         self.stage = stage
         self.reader = reader
         self.purposes = {"default", *purposes}
         self.binding_purposes = binding_purposes
-        self.links = Links(stage, reader)
+        self.links = links
         self.xforms = UsdGeom.XformCache(reader.moment)
         self.world = Frame("", 0, INSTANCES)
         self.frames: dict[Any, Frame] = {}

@@ -147,7 +147,7 @@ class Stage:
         began = time.monotonic()
         delegate, previous = self._delegate or Delegate(), self._previous
         self._delegate = self._previous = None  # not kept if this frame fails half-way
-        flat = stage.flatten(self.stage, when, self._options())
+        flat = stage.flatten(self.stage, when, self._options(), previous)
         loaded = Loaded(delegate, "", 0.0, warnings=[*self.warnings])
         authored = {**flat.settings}
         loaded.views = [
