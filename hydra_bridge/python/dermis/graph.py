@@ -6,11 +6,17 @@ from typing import Any
 from pxr import Sdf, Usd, UsdShade
 
 from .images import find_images, wrap_modes
+from .materialx_nodes import MATERIALX_NODES
+from .materialx_textures import TEXTURE_NODES
 from .network import Network, Unsupported, Value, constant
-from .nodes import category, evaluate
+from .nodes import Handler, Node
 from .reading import Reader
+from .usd_nodes import USD_NODES
 
 Fields = dict[str, Any]
+
+HANDLERS: dict[str, Handler] = {**USD_NODES, **MATERIALX_NODES, **TEXTURE_NODES}
+"""What computes a node, by category."""
 
 
 class Graph:
@@ -211,6 +217,23 @@ class StageNode:
 def shader_id(node: Usd.Prim) -> str:
     identifier = UsdShade.Shader(node).GetIdAttr().Get()
     return identifier if isinstance(identifier, str) else ""
+
+
+def category(identifier: str) -> str:
+    """`ND_multiply_color3FA` is a `multiply`; nodes of one type alone have no more than their name."""
+    if identifier.startswith("ND_"):
+        if identifier[3:] in HANDLERS:
+            return identifier[3:]
+        return identifier[3:].split("_")[0]
+    return identifier.split("_")[0]
+
+
+def evaluate(node: Node) -> Value:
+    """Raises Unsupported."""
+    handler = HANDLERS.get(node.category)
+    if handler is None:
+        raise Unsupported("it is not supported")
+    return handler(node)
 
 
 def width_of(kind: Sdf.ValueTypeName) -> int:
