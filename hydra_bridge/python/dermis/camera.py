@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-from pxr import Gf, Tf, Usd, UsdGeom, UsdUtils
+from pxr import Gf, Tf, Usd, UsdGeom
 
 from .index import index_of
 from .reading import Reader, Report, finite
@@ -70,7 +70,10 @@ def exposure_scale(prim: Usd.Prim, reader: Reader) -> float:
 def find_camera(stage: Usd.Stage, name_or_path: str = "") -> UsdGeom.Camera | None:
     """usdrecord's search: a path is taken exactly, a bare name is any prim's of that name; default
     `main_cam`."""
-    name_or_path = name_or_path or UsdUtils.GetPrimaryCameraName()
+    if not name_or_path:
+        from pxr import UsdUtils  # takes as long to load as a small stage
+
+        name_or_path = UsdUtils.GetPrimaryCameraName()
     if "/" in name_or_path:
         prim = stage.GetPrimAtPath(name_or_path) if name_or_path.startswith("/") else Usd.Prim()
         return UsdGeom.Camera(prim) if prim and prim.IsA(UsdGeom.Camera) else None

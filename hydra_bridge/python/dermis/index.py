@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 from weakref import WeakKeyDictionary, ref
 
-from pxr import Sdf, Tf, Usd, UsdGeom, UsdLux, UsdShade, UsdSkel
+from pxr import Sdf, Tf, Usd, UsdGeom, UsdShade
 
 from .linking import Links
 from .reading import Report
@@ -55,12 +55,12 @@ def facts(prim: Usd.Prim) -> Facts:
     kind = str(prim.GetTypeName())
     moving = [name for name in names if name in MOVING or name.startswith("xformOp:")]
     return Facts(
-        light=prim.HasAPI(UsdLux.LightAPI),
+        light=prim.HasAPI("LightAPI"),
         dome=kind.startswith("DomeLight"),
         camera=prim.IsA(UsdGeom.Camera),
         reads=kind == "Shader" and any(prim.HasAttribute(f"inputs:{name}") for name in NAMES),
         moving=tuple(name for name in moving if varies(prim, name)),
-        bends="accelerations" in names or "angularVelocities" in names or prim.IsA(UsdSkel.Skeleton),
+        bends="accelerations" in names or "angularVelocities" in names or prim.IsA("Skeleton"),
     )
 
 
@@ -96,7 +96,8 @@ class Index:
         #: Changes whenever the stage does.
         self.version = 0
         self.stale = Stale({Sdf.Path.absoluteRootPath})
-        self.skeletons: dict[str, UsdSkel.Cache] = {}
+        #: UsdSkel.Cache by SkelRoot.
+        self.skeletons: dict[str, Any] = {}
         self._links: tuple[Links, Report] | None = None
         self._primvars: set[str] | None = None
         me = ref(self)
@@ -202,12 +203,15 @@ class Index:
             self._links = Links(self.lights(stage), report), report
         return self._links
 
-    def skeletons_of(self, root: UsdSkel.Root) -> UsdSkel.Cache:
-        """Of a SkelRoot; one each, for instances that share a skeleton may bind different animations to it."""
+    def skeletons_of(self, root: Usd.Prim) -> Any:
+        """UsdSkel.Cache of a SkelRoot; one each, for instances that share a skeleton may bind different animations to
+        it."""
+        from pxr import UsdSkel  # only where there are skeletons
+
         path = str(root.GetPath())
         if path not in self.skeletons:
             self.skeletons[path] = UsdSkel.Cache()
-            self.skeletons[path].Populate(root, Usd.TraverseInstanceProxies())
+            self.skeletons[path].Populate(UsdSkel.Root(root), Usd.TraverseInstanceProxies())
         return self.skeletons[path]
 
 

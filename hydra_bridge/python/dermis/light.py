@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from pxr import Usd, UsdGeom, UsdLux
+from pxr import Usd, UsdGeom
 
 from .dome_layout import LAYOUTS, to_latlong
 from .ies import flatten_profile
@@ -50,15 +50,23 @@ def flatten_light(
 
 def emission(prim: Usd.Prim, kind: str, reader: Reader) -> Fields:
     temperature = reader.value(prim, "inputs:colorTemperature", 6500.0)
+    enabled = reader.value(prim, "inputs:enableColorTemperature", False)
     return {
         "intensity": reader.value(prim, "inputs:intensity", 50000.0 if kind == "DistantLight" else 1.0),
         "exposure": reader.value(prim, "inputs:exposure", 0.0),
         "color": list(reader.color(prim, "inputs:color", (1.0, 1.0, 1.0))),
         "normalize": reader.value(prim, "inputs:normalize", False),
-        "enableColorTemperature": reader.value(prim, "inputs:enableColorTemperature", False),
+        "enableColorTemperature": enabled,
         "colorTemperature": temperature,
-        "blackbody": list(reader.colors.from_rec709(UsdLux.BlackbodyTemperatureAsRgb(temperature))),
+        "blackbody": list(reader.colors.from_rec709(blackbody(temperature))) if enabled else [1.0, 1.0, 1.0],
     }
+
+
+def blackbody(temperature: float) -> Any:
+    """Rec.709 of luminance 1, by UsdLux."""
+    from pxr import UsdLux  # only where a temperature counts
+
+    return UsdLux.BlackbodyTemperatureAsRgb(temperature)
 
 
 def shaping(prim: Usd.Prim, reader: Reader) -> Fields | None:
@@ -66,7 +74,7 @@ def shaping(prim: Usd.Prim, reader: Reader) -> Fields | None:
     authored = any(
         a.HasAuthoredValue() for a in prim.GetAttributes() if a.GetName().startswith("inputs:shaping:")
     )
-    if not prim.HasAPI(UsdLux.ShapingAPI) and not authored:
+    if not prim.HasAPI("ShapingAPI") and not authored:
         return None
     fields = {
         "focus": reader.value(prim, "inputs:shaping:focus", 0.0),

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from pxr import Sdf, Usd, UsdGeom, UsdLux
+from pxr import Sdf, Usd, UsdGeom
 
 from .reading import Report, usd_words
 
@@ -67,7 +67,7 @@ class Links:
 
     def add(self, prim: Usd.Prim, link: str, known: dict[Any, str], report: Report) -> None:
         try:
-            query = collection_api(prim, link).ComputeMembershipQuery()
+            query = Usd.CollectionAPI(prim, link).ComputeMembershipQuery()
         except Exception as error:  # a damaged collection must not cost the picture
             report.warn(prim, f"collection:{link}: {usd_words(error)}; the light is for everything")
             return
@@ -117,8 +117,3 @@ class Links:
     def placed_by(self, instancer: Sdf.Path, placer: Placer | None) -> Placer | None:
         """For the prototypes of a point instancer; None where nothing is linked."""
         return Placer(instancer, self.memberships(instancer, placer)) if self.collections else None
-
-
-def collection_api(prim: Usd.Prim, link: str) -> Usd.CollectionAPI:
-    light = UsdLux.LightAPI(prim)
-    return light.GetLightLinkCollectionAPI() if link == "lightLink" else light.GetShadowLinkCollectionAPI()

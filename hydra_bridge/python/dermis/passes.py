@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from pxr import Sdf, Usd, UsdRender
+from pxr import Sdf, Usd
 
 #: Collections of UsdRenderPass that need what the renderer has not got.
 UNSUPPORTED = ("cameraVisibility", "matte")
@@ -40,4 +40,4 @@ def is_authored(prim: Usd.Prim, name: str) -> bool:
 
 
 def is_pass(prim: Usd.Prim) -> bool:
-    return bool(prim) and prim.IsA(UsdRender.Pass)
+    return bool(prim) and prim.IsA("RenderPass")

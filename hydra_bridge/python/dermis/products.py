@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass, field
 from typing import Any
 
-from pxr import Usd, UsdRender
+from pxr import Usd
 
 from .aovs import AOVS, EXTRA_AOVS, GUIDE_AOVS, LIGHT_AOV, PRIMVAR
 from .reading import Reader
@@ -64,7 +64,7 @@ class Product:
 
 
 def related_products(settings: Usd.Prim) -> list[Usd.Prim]:
-    return [prim for prim in related(settings, "products") if prim.IsA(UsdRender.Product)]
+    return [prim for prim in related(settings, "products") if prim.IsA("RenderProduct")]
 
 
 def flatten_products(settings: Usd.Prim, reader: Reader) -> list[Product]:

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from pxr import Sdf, Usd, UsdRender
+from pxr import Sdf, Usd
 
 from .colorspace import REC709, linear_name
 from .products import product_aovs, product_layers, related_products
@@ -51,7 +51,7 @@ def find_settings(stage: Usd.Stage, path: str, reader: Reader) -> Usd.Prim | Non
     if not named:
         return None
     prim = stage.GetPrimAtPath(named) if Sdf.Path.IsValidPathString(named) else None
-    if prim and prim.IsA(UsdRender.Settings):
+    if prim and prim.IsA("RenderSettings"):
         return prim
     reader.warn(named, "renderSettingsPrimPath: there is no RenderSettings prim; default settings are used")
     return None

@@ -5,14 +5,19 @@ here, as UsdSkelBakeSkinning does. Where a skeleton or a shape cannot be used th
 says so.
 """
 
-from typing import Any
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Gf, Usd, UsdGeom, UsdSkel, Vt
+from pxr import Gf, Usd, UsdGeom, Vt
 
 from .index import index_of
 from .reading import Reader
+
+if TYPE_CHECKING:
+    from pxr import UsdSkel
 
 Mesh = dict[str, Any]
 
@@ -20,7 +25,14 @@ Mesh = dict[str, Any]
 def is_skinned(prim: Usd.Prim) -> bool:
     """Whether joints or shapes may move its points."""
     names = prim.GetAuthoredPropertyNames()
-    return prim.HasAPI(UsdSkel.BindingAPI) or any(n.startswith(("skel:", "primvars:skel:")) for n in names)
+    return prim.HasAPI("SkelBindingAPI") or any(n.startswith(("skel:", "primvars:skel:")) for n in names)
+
+
+def skel_root(prim: Usd.Prim) -> Usd.Prim | None:
+    """The SkelRoot around a prim."""
+    while prim and not prim.IsA("SkelRoot"):
+        prim = prim.GetParent()
+    return prim or None
 
 
 class Skins:
@@ -34,9 +46,11 @@ class Skins:
 
     def deform(self, prim: Usd.Prim, mesh: Mesh) -> None:
         """Moves `points` and `normals` of a flat mesh; outside a SkelRoot nothing moves (UsdSkel)."""
-        root = UsdSkel.Root.Find(prim)
-        if not root:
+        root = skel_root(prim)
+        if root is None:
             return
+        from pxr import UsdSkel  # only where there are skeletons
+
         cache = index_of(prim.GetStage()).skeletons_of(root)
         query = cache.GetSkinningQuery(prim)
         if not query:
@@ -55,7 +69,7 @@ class Skins:
             mesh["points"] = self.skin(prim, query, skeleton, joints, points, normals)
         normals.store(mesh)
 
-    def transforms(self, root: UsdSkel.Root, skeleton: UsdSkel.SkeletonQuery) -> Vt.Matrix4dArray | None:
+    def transforms(self, root: Usd.Prim, skeleton: UsdSkel.SkeletonQuery) -> Vt.Matrix4dArray | None:
         """Of the joints, from rest."""
         key = str(root.GetPath()), str(skeleton.GetPrim().GetPath())
         if key not in self.joints:
@@ -68,7 +82,7 @@ class Skins:
         query: UsdSkel.SkinningQuery,
         skeleton: UsdSkel.SkeletonQuery,
         points: Vt.Vec3fArray,
-        normals: "Normals",
+        normals: Normals,
     ) -> None:
         animation = skeleton.GetAnimQuery()
         weights = animation.ComputeBlendShapeWeights(self.reader.moment) if animation else None
@@ -77,6 +91,8 @@ class Skins:
         mapper = query.GetBlendShapeMapper()
         if mapper:
             weights = mapper.Remap(weights)
+        from pxr import UsdSkel
+
         shapes = UsdSkel.BlendShapeQuery(UsdSkel.BindingAPI(prim))
         sub_shapes = shapes.ComputeSubShapeWeights(weights)
         if not sub_shapes:
@@ -96,7 +112,7 @@ class Skins:
         skeleton: UsdSkel.SkeletonQuery,
         joints: Vt.Matrix4dArray | None,
         points: Vt.Vec3fArray,
-        normals: "Normals",
+        normals: Normals,
     ) -> NDArray:
         """The points in the mesh's own space; joints move them in the skeleton's."""
         if not joints:
@@ -170,6 +186,8 @@ class Normals:
         inverse_transposes = Vt.Matrix3dArray(
             [Gf.Matrix3d(*normal_matrix(joint).ravel().tolist()) for joint in joints]
         )
+        from pxr import UsdSkel
+
         bind = Gf.Matrix3d(*normal_matrix(query.GetGeomBindTransform(time)).ravel().tolist())
         UsdSkel.SkinNormals(
             query.GetSkinningMethod(),

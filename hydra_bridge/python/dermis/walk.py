@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from pxr import Gf, Usd, UsdGeom, UsdLux, UsdShade, Vt
+from pxr import Gf, Usd, UsdGeom, UsdShade, Vt
 
 from .bindings import bound_materials
 from .instancer import Placements, nested, place, point_instances
@@ -166,7 +166,7 @@ class Walk:
         """Adds a prim to the frame if it is one that renders."""
         if kind in MESH_TYPES:
             if context.purpose in self.purposes:
-                emits = prim.HasAPI(UsdLux.LightAPI)
+                emits = prim.HasAPI("LightAPI")
                 frame.found.append(Found(prim, kind, frame.key(prim), matrix, context, emits))
         elif kind == "Points":
             if context.purpose in self.purposes:

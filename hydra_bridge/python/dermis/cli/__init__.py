@@ -5,17 +5,18 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
+from importlib import import_module
 
-from . import bench, explain, flatten, merge, peers, record
 from .interrupt import INTERRUPTED
 from .output import OutputError
 
-COMMANDS = (record, explain, flatten, merge, bench, peers)
+COMMANDS = ("record", "explain", "flatten", "merge", "bench", "peers")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs `dermis ARGUMENTS`; exit codes: 0 done, 1 scene or render error, 2 usage, 130 interrupted."""
-    parser, parsers = build_parser()
+    arguments = sys.argv[1:] if arguments is None else arguments
+    parser, parsers = build_parser(arguments[0] if arguments else "")
     args = parser.parse_args(arguments)
     if args.command in ("bench", "peers"):
         # They have children to end; see `__main__` for the others.
@@ -33,19 +34,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
 
 
-def build_parser() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParser]]:
+def build_parser(command: str = "") -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParser]]:
+    """Of all commands, or, where `command` is one of them, of that one: nobody waits for the others."""
     parser = argparse.ArgumentParser(
         prog="dermis", description="A path tracer for USD shots with subsurface scattering"
     )
     parser.add_argument("--version", action=_Version)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     parsers = {}
-    for module in COMMANDS:
+    for name in (command,) if command in COMMANDS else COMMANDS:
+        module = import_module(f".{name}", __name__)
         usage = f"dermis {module.NAME} {module.FILES} [flags]"
-        command = commands.add_parser(module.NAME, help=module.HELP, description=module.HELP, usage=usage)
-        module.add_arguments(command)
-        command.set_defaults(run=module.run)
-        parsers[module.NAME] = command
+        added = commands.add_parser(module.NAME, help=module.HELP, description=module.HELP, usage=usage)
+        module.add_arguments(added)
+        added.set_defaults(run=module.run)
+        parsers[module.NAME] = added
     return parser, parsers
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from pxr import Tf, Trace
+from pxr import Tf
 
 
 @contextmanager
@@ -14,7 +14,11 @@ def recording(args: argparse.Namespace) -> Iterator[None]:
     """Traces and accounts memory while inside, as the flags ask; reports at the end, also after an error."""
     if args.memstats:
         Tf.MallocTag.Initialize()
-    collector = Trace.Collector() if args.traceToFile else None
+    collector = None
+    if args.traceToFile:
+        from pxr import Trace
+
+        collector = Trace.Collector()
     if collector:
         collector.enabled = True
     try:
@@ -28,6 +32,8 @@ def recording(args: argparse.Namespace) -> Iterator[None]:
 
 
 def write_trace(file: str, form: str) -> None:
+    from pxr import Trace
+
     reporter = Trace.Reporter.globalReporter
     if form == "trace":
         reporter.Report(file)

@@ -1,11 +1,17 @@
 """Which time codes to record and how their files are called: usdrecord's rules and messages."""
 
+from __future__ import annotations
+
 import argparse
 import math
 import re
 from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
-from pxr import Tf, Usd, UsdUtils
+from pxr import Tf, Usd
+
+if TYPE_CHECKING:
+    from pxr import UsdUtils
 
 _PLACEHOLDER = re.compile(r"^[^#]*(?P<placeholder>#+(\.#+)?)[^#]*$")
 
@@ -70,6 +76,8 @@ def parse_frame_specs(specs: str) -> tuple[Frames, int]:
 
     Raises ValueError naming the FrameSpec.
     """
+    from pxr import UsdUtils  # takes as long to load as a small stage
+
     ranges: list[UsdUtils.TimeCodeRange] = []
     decimals = 0
     for spec in specs.split(","):

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pxr import Sdf, Usd, UsdGeom, UsdRender
+from pxr import Sdf, Usd, UsdGeom
 
 from dermis import camera as cameras
 from dermis import hydra, passes, products, stage
@@ -183,7 +183,7 @@ class Stage:
         if self.args.purposes:
             return self.args.purposes
         prim = self._settings_prim()
-        if prim and UsdRender.Settings(prim).GetIncludedPurposesAttr().HasAuthoredValue():
+        if prim and prim.GetAttribute("includedPurposes").HasAuthoredValue():
             return None
         hidden = [p for p in self.stage.Traverse() if p.IsA(UsdGeom.Gprim) and _purpose(p) == "render"]
         if hidden:
@@ -194,7 +194,7 @@ class Stage:
     def _settings_prim(self) -> Usd.Prim | None:
         path = self.settings_path
         prim = self.stage.GetPrimAtPath(path) if Sdf.Path.IsValidPathString(path) else None
-        return prim if prim and prim.IsA(UsdRender.Settings) else None
+        return prim if prim and prim.IsA("RenderSettings") else None
 
     def _settle_view(
         self, flat: Any, when: Usd.TimeCode, loaded: Loaded, authored: Settings, outputs: list[Output]
@@ -280,7 +280,7 @@ class Stage:
         if not passes.is_pass(prim):
             raise SceneError(f"Unknown render pass <{path}>")
         self.warnings.extend(passes.pass_warnings(prim))
-        targets = UsdRender.Pass(prim).GetRenderSourceRel().GetTargets()
+        targets = prim.GetRelationship("renderSource").GetTargets()
         if not targets:
             raise SceneError(f"Render source not authored on {path}")
         if len(targets) > 1:
