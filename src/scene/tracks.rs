@@ -87,9 +87,10 @@ fn placements<'a>(flat: &'a FlatScene, mesh: &'a flat::Mesh) -> Box<dyn Iterator
     let instancer = flat.instancers.get(&mesh.instancer).into_iter();
     Box::new(instancer.flat_map(move |instancer| {
         let keys = instancer.transform_keys.as_ref();
-        instancer.transforms.iter().enumerate().map(move |(i, m)| Way {
-            frame: multiply(&mesh.transform, m),
-            moves: combined(own, (m, keys, i)),
-        })
+        instancer
+            .transforms
+            .iter()
+            .enumerate()
+            .map(move |(i, m)| Way { frame: multiply(&mesh.transform, m), moves: combined(own, (m, keys, i)) })
     }))
 }
