@@ -59,7 +59,7 @@ impl Delegate {
     }
 
     fn save(&self, py: Python<'_>, file: PathBuf) -> PyResult<()> {
-        self.with(py, |core| flat::file::save(core.flat(), &file)).map_err(core_error)
+        self.with(py, |core| core.whole().and_then(|scene| flat::file::save(scene, &file))).map_err(core_error)
     }
 
     fn sync(
@@ -109,8 +109,10 @@ impl Delegate {
         self.with(py, |core| core.warn(Warning::new(path, message)));
     }
 
-    fn commit(&self, py: Python<'_>) -> PyResult<String> {
-        let stats = self.with(py, RenderDelegate::commit).map_err(core_error)?;
+    #[pyo3(signature = (last = false))]
+    fn commit(&self, py: Python<'_>, last: bool) -> PyResult<String> {
+        let commit = if last { RenderDelegate::commit_last } else { RenderDelegate::commit };
+        let stats = self.with(py, commit).map_err(core_error)?;
         serde_json::to_string(&stats).map_err(|e| json_error("commit", e))
     }
 
@@ -193,7 +195,8 @@ fn any_array(array: &Bound<'_, PyAny>) -> PyResult<AnyArray> {
         if !is_for_reading(array.as_any())? {
             return Ok(owned(values.to_vec(), components));
         }
-        let (bytes, owner) = (NonNull::from(bytemuck::cast_slice(values)), Box::new(array.as_any().clone().unbind()));
+        let (bytes, owner) =
+            (NonNull::from(bytemuck::cast_slice(values)), Box::new(Owner(Some(array.as_any().clone().unbind()))));
         // SAFETY: the array keeps its memory, which `is_for_reading`.
         let memory = Arc::new(unsafe { Lent::new(bytes, owner) });
         Ok(AnyArray::Lent { memory, scalar, components })
@@ -214,6 +217,17 @@ fn any_array(array: &Bound<'_, PyAny>) -> PyResult<AnyArray> {
         return taken(&values, Scalar::U16, AnyArray::U16);
     }
     Err(PyTypeError::new_err("arrays must be numpy arrays of float32, int32, float64, uint8 or uint16"))
+}
+
+/// Of an array that the core reads in place.
+struct Owner(Option<Py<PyAny>>);
+
+impl Drop for Owner {
+    /// At once: without the GIL, Python would be told when somebody next comes by with it, after the commit.
+    fn drop(&mut self) {
+        let array = self.0.take();
+        Python::try_attach(|_| drop(array));
+    }
 }
 
 /// Whether an array is a view of one of USD's: it cannot be made writeable, and USD copies on write what others read.

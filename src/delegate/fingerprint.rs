@@ -17,12 +17,22 @@ const OF_THE_PART: [&str; 6] = ["dataWindowNDC", "samples", "sampleOffset", "see
 impl RenderDelegate {
     /// Of scene and settings: the same state of a render can come of these alone.
     pub(super) fn fingerprint_of_render(&self) -> u64 {
-        digest(self.flat(), &settings_without(self.settings(), &OF_THE_RUN))
+        self.fingerprint(&settings_without(self.settings(), &OF_THE_RUN))
     }
 
     /// Of what tiles and sample ranges of one image share.
     pub(super) fn fingerprint_of_image(&self) -> u64 {
-        digest(self.flat(), &settings_without(self.settings(), &[&OF_THE_RUN[..], &OF_THE_PART].concat()))
+        self.fingerprint(&settings_without(self.settings(), &[&OF_THE_RUN[..], &OF_THE_PART].concat()))
+    }
+
+    fn fingerprint(&self, settings: &Value) -> u64 {
+        let scene = self.last.as_ref().map_or_else(|| of_scene(self.flat()), |last| last.digest);
+        let mut digest = Digest::new();
+        let mut take = |bytes: &[u8]| digest.write_all(bytes).expect("a digest takes everything");
+        take(env!("CARGO_PKG_VERSION").as_bytes());
+        take(settings.to_string().as_bytes());
+        take(&scene.to_le_bytes());
+        digest.finish()
     }
 }
 
@@ -34,16 +44,14 @@ fn settings_without(settings: &RenderSettings, left_out: &[&str]) -> Value {
     settings
 }
 
-/// Arrays are shared by the copy. Where the stage lies is no part of it: farms mount it elsewhere.
-fn digest(flat: &FlatScene, settings: &Value) -> u64 {
+/// Without its settings. Arrays are shared by the copy. Where the stage lies is no part of it: farms mount it elsewhere.
+pub(super) fn of_scene(flat: &FlatScene) -> u64 {
     let stage = StageInfo { file: String::new(), ..flat.stage.clone() };
     let images = BTreeMap::new();
     let scene = FlatScene { stage, images, warnings: Vec::new(), settings: RenderSettings::default(), ..flat.clone() };
     let (text, arrays) = collect_arrays(|| serde_json::to_vec(&scene).unwrap_or_default());
     let mut digest = Digest::new();
     let mut take = |bytes: &[u8]| digest.write_all(bytes).expect("a digest takes everything");
-    take(env!("CARGO_PKG_VERSION").as_bytes());
-    take(settings.to_string().as_bytes());
     take(&text);
     arrays.iter().for_each(|array| take(array.bytes()));
     // One by one, since they may be more than fits into memory.

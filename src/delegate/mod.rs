@@ -12,7 +12,7 @@ use crate::flat::{self, FlatScene, Prim, RenderSettings, StageInfo, validate};
 use crate::guiding::look;
 use crate::integrator::PathStats;
 use crate::render::{GuideStats, Keep, Progress, Report, film_for, render};
-use crate::scene::{CompileStats, Geometry, Kept, Residency, Scene, compile, page_out};
+use crate::scene::{CompileStats, Geometry, Kept, Residency, Scene, compile, compile_last, page_out};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -53,6 +53,15 @@ struct Pass {
     started: Instant,
 }
 
+/// World bounds.
+type Bounds = ([f64; 3], [f64; 3]);
+
+/// What is asked of a scene whose meshes were let go.
+struct Last {
+    digest: u64,
+    bounds: Option<Bounds>,
+}
+
 #[derive(Default)]
 pub struct RenderDelegate {
     flat: FlatScene,
@@ -64,6 +73,8 @@ pub struct RenderDelegate {
     scene: Option<Arc<Scene>>,
     /// What is compiled is what is described.
     clean: bool,
+    /// `None`: edits may follow.
+    last: Option<Last>,
     /// By prim, from the validation at its sync: a prim that is synced anew replaces its own.
     prim_warnings: BTreeMap<String, Vec<Warning>>,
     commit_warnings: Vec<Warning>,
@@ -87,6 +98,15 @@ impl RenderDelegate {
 
     pub fn flat(&self) -> &FlatScene {
         &self.flat
+    }
+
+    /// The description with its arrays.
+    ///
+    /// # Errors
+    /// After the last commit they are gone.
+    pub fn whole(&self) -> Result<&FlatScene> {
+        let gone = || Error::Other("the last commit let go what meshes are made of; nothing can follow it".into());
+        if self.last.is_some() { Err(gone()) } else { Ok(&self.flat) }
     }
 
     /// Inserts a prim, or replaces the aspects of it that `bits` name. Stops a render under way.
@@ -248,6 +268,24 @@ impl RenderDelegate {
         if self.clean {
             return Ok(CompileStats { blas_built: 0, seconds: 0.0, ..self.compiled });
         }
+        let named = self.checked()?;
+        let (scene, stats) = compile(&named, &mut self.kept, &mut self.commit_warnings)?;
+        Ok(self.compiled(scene, stats))
+    }
+
+    /// The same where no edit follows: what meshes are made of is let go.
+    pub fn commit_last(&mut self) -> Result<CompileStats> {
+        let named = self.checked()?;
+        self.last = Some(Last { digest: fingerprint::of_scene(&self.flat), bounds: self.bounds() });
+        self.authored.clear();
+        self.flat.meshes.values_mut().for_each(flat::Mesh::let_go);
+        let (scene, stats) = compile_last(named, &mut self.kept, &mut self.commit_warnings)?;
+        Ok(self.compiled(scene, stats))
+    }
+
+    /// The description to compile: what is named in it is there.
+    fn checked(&mut self) -> Result<FlatScene> {
+        self.whole()?;
         self.stop();
         self.flat.settings.check()?;
         self.commit_warnings.clear();
@@ -255,11 +293,14 @@ impl RenderDelegate {
         // A name that leads nowhere now may lead somewhere after the next edit: clear it in a copy (arrays are shared).
         let mut named = self.flat.clone();
         named.validate_names(&mut self.commit_warnings);
-        let (scene, stats) = compile(&named, &mut self.kept, &mut self.commit_warnings)?;
+        Ok(named)
+    }
+
+    fn compiled(&mut self, scene: Scene, stats: CompileStats) -> CompileStats {
         self.scene = Some(Arc::new(scene));
         self.compiled = stats;
         self.clean = true;
-        Ok(stats)
+        stats
     }
 
     pub fn scene(&self) -> Option<&Arc<Scene>> {
@@ -267,7 +308,10 @@ impl RenderDelegate {
     }
 
     /// World bounds of the visible meshes.
-    pub fn bounds(&self) -> Option<([f64; 3], [f64; 3])> {
+    pub fn bounds(&self) -> Option<Bounds> {
+        if let Some(last) = &self.last {
+            return last.bounds;
+        }
         let mut bounds = None::<(glam::DVec3, glam::DVec3)>;
         for mesh in self.flat.meshes.values().filter(|mesh| mesh.visible) {
             let instancer = self.flat.instancers.get(&mesh.instancer);

@@ -7,7 +7,7 @@
 use bytemuck::Pod;
 use memmap2::Mmap;
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error as _};
-use std::{cell::RefCell, ops::Deref, sync::Arc};
+use std::{cell::RefCell, ops::Deref, ptr::NonNull, sync::Arc};
 
 /// Scalar type of an array's elements.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -32,7 +32,7 @@ impl Scalar {
 }
 
 /// Element of an [`Array`]: a scalar, a vector or a matrix of one scalar type.
-pub trait Element: Pod {
+pub trait Element: Pod + Send + Sync {
     const SCALAR: Scalar;
     const COMPONENTS: usize;
 }
@@ -67,7 +67,7 @@ enum Storage<T> {
 
 /// Memory of the caller's that is read in place: a copy of a large mesh is not made for each who holds it.
 pub struct Lent {
-    bytes: std::ptr::NonNull<[u8]>,
+    bytes: NonNull<[u8]>,
     /// What keeps the memory.
     _owner: Box<dyn Send + Sync>,
 }
@@ -80,7 +80,7 @@ unsafe impl Sync for Lent {}
 impl Lent {
     /// # Safety
     /// While `owner` lives, `bytes` are there and nobody writes to them.
-    pub unsafe fn new(bytes: std::ptr::NonNull<[u8]>, owner: Box<dyn Send + Sync>) -> Self {
+    pub unsafe fn new(bytes: NonNull<[u8]>, owner: Box<dyn Send + Sync>) -> Self {
         Self { bytes, _owner: owner }
     }
 
@@ -110,6 +110,18 @@ impl<T: Element> Array<T> {
     pub fn mapped(map: Arc<Mmap>, offset: usize, len: usize) -> Self {
         assert!(offset % 64 == 0 && offset + len * size_of::<T>() <= map.len());
         Self(Storage::Mapped { map, offset, len })
+    }
+
+    /// Its memory, for as long as somebody has it.
+    fn lend(&self) -> Arc<Lent> {
+        let bytes = NonNull::from(bytemuck::cast_slice::<T, u8>(self));
+        match &self.0 {
+            // SAFETY: each keeps the memory, and arrays are immutable.
+            Storage::Owned(values) => Arc::new(unsafe { Lent::new(bytes, Box::new(Arc::clone(values))) }),
+            // SAFETY: as above.
+            Storage::Mapped { map, .. } => Arc::new(unsafe { Lent::new(bytes, Box::new(Arc::clone(map))) }),
+            Storage::Lent(memory) => Arc::clone(memory),
+        }
     }
 
     /// Map, and range in bytes, of an array that is not in memory of its own.
@@ -275,13 +287,7 @@ struct ArrayIndex {
 
 impl<T: Element> Serialize for Array<T> {
     fn serialize<S: Serializer>(&self, serializer: S) -> std::result::Result<S::Ok, S::Error> {
-        let entry = match T::SCALAR {
-            Scalar::F32 => AnyArray::F32(bytemuck::cast_slice::<T, f32>(self).to_vec(), T::COMPONENTS),
-            Scalar::F64 => AnyArray::F64(bytemuck::cast_slice::<T, f64>(self).to_vec(), T::COMPONENTS),
-            Scalar::I32 => AnyArray::I32(bytemuck::cast_slice::<T, i32>(self).to_vec(), T::COMPONENTS),
-            Scalar::U8 => AnyArray::U8(bytemuck::cast_slice::<T, u8>(self).to_vec(), T::COMPONENTS),
-            Scalar::U16 => AnyArray::U16(bytemuck::cast_slice::<T, u16>(self).to_vec(), T::COMPONENTS),
-        };
+        let entry = AnyArray::Lent { memory: self.lend(), scalar: T::SCALAR, components: T::COMPONENTS };
         let array = TABLE.with_borrow_mut(|table| {
             table.push(Some(entry));
             table.len() - 1

@@ -143,6 +143,17 @@ pub struct Mesh {
     pub point_keys: Option<PointKeys>,
 }
 
+impl Mesh {
+    /// Empties what its geometry alone is compiled from. Of one that moves it stays: its ways are asked for again.
+    pub fn let_go(&mut self) {
+        if self.point_keys.is_none() {
+            self.points = Array::default();
+            (self.face_vertex_counts, self.face_vertex_indices) = (Array::default(), Array::default());
+            self.normals = None;
+        }
+    }
+}
+
 impl Default for Mesh {
     fn default() -> Self {
         Self {

@@ -61,7 +61,8 @@ pub fn compile(flat: &FlatScene, kept: &mut Kept, warnings: &mut Vec<Warning>) -
     let camera = Camera::compile(eye, &flat.settings);
     let Kept { geometry: cache, images, surfaces } = kept;
     build_images(&flat.images, images);
-    let blas_built = build_geometry(flat, images, cache);
+    let missing = missing(flat, images, cache);
+    let blas_built = build_geometry(missing, images, cache);
 
     let mut placer = Placer::new(flat, camera.origin, warnings);
     placer.place(cache, images, surfaces);
@@ -115,8 +116,33 @@ fn names<'a>(keys: impl Iterator<Item = &'a String>) -> String {
     if names.is_empty() { "none".into() } else { names.join(", ") }
 }
 
-/// Builds what is visible and not in the cache, and forgets what is gone; the number built.
-fn build_geometry(flat: &FlatScene, images: &ImageCache, cache: &mut GeometryCache) -> usize {
+/// The same where no edit follows: what meshes are compiled from is let go before trees are built, which need the room.
+pub fn compile_last(
+    mut flat: FlatScene,
+    kept: &mut Kept,
+    warnings: &mut Vec<Warning>,
+) -> Result<(Scene, CompileStats)> {
+    let start = std::time::Instant::now();
+    build_images(&flat.images, &mut kept.images);
+    let missing = missing(&flat, &kept.images, &mut kept.geometry);
+    flat.meshes.values_mut().for_each(flat::Mesh::let_go);
+    let blas_built = build_geometry(missing, &kept.images, &mut kept.geometry);
+    let (scene, stats) = compile(&flat, kept, warnings)?;
+    give_back();
+    Ok((scene, CompileStats { blas_built, seconds: start.elapsed().as_secs_f64(), ..stats }))
+}
+
+/// A mesh to be compiled.
+struct Missing {
+    path: String,
+    mesh: flat::Mesh,
+    level: u32,
+    deforms: bool,
+    displacement: Option<Displacement>,
+}
+
+/// What is visible and not in the cache, which forgets what is gone.
+fn missing(flat: &FlatScene, images: &ImageCache, cache: &mut GeometryCache) -> Vec<Missing> {
     let level = |mesh: &flat::Mesh| level_of(mesh, &flat.settings);
     let displacement = |mesh: &flat::Mesh| Displacement::of(mesh, &flat.materials, images);
     let emits = emitting_meshes(flat);
@@ -130,15 +156,23 @@ fn build_geometry(flat: &FlatScene, images: &ImageCache, cache: &mut GeometryCac
         same && geometry.asked_level() == level(mesh) && geometry.deformation.is_some() == deforms(path, mesh)
     };
     cache.retain(|path, geometry| flat.meshes.get(path).is_some_and(|mesh| holds(path, geometry, mesh)));
-    let missing: Vec<(&String, &flat::Mesh)> =
-        flat.meshes.iter().filter(|(path, mesh)| mesh.visible && !cache.contains_key(*path)).collect();
-    let built: Vec<(String, Arc<Geometry>)> = missing
-        .par_iter()
-        .map(|(path, mesh)| {
-            let geometry = Geometry::compile(mesh, level(mesh), deforms(path, mesh), displacement(mesh), images);
-            ((*path).clone(), Arc::new(geometry))
-        })
-        .collect();
+    let missing = flat.meshes.iter().filter(|(path, mesh)| mesh.visible && !cache.contains_key(*path));
+    let missing = missing.map(|(path, mesh)| Missing {
+        path: path.clone(),
+        mesh: mesh.clone(),
+        level: level(mesh),
+        deforms: deforms(path, mesh),
+        displacement: displacement(mesh),
+    });
+    missing.collect()
+}
+
+/// The number built.
+fn build_geometry(missing: Vec<Missing>, images: &ImageCache, cache: &mut GeometryCache) -> usize {
+    let build = |Missing { path, mesh, level, deforms, displacement }| {
+        (path, Arc::new(Geometry::compile(mesh, level, deforms, displacement, images)))
+    };
+    let built: Vec<(String, Arc<Geometry>)> = missing.into_par_iter().map(build).collect();
     let count = built.len();
     cache.extend(built);
     count

@@ -201,7 +201,7 @@ mod tests {
 
     fn geometry(mesh: &Mesh, level: u32, materials: &Prims<Material>) -> Geometry {
         let images = ImageCache::new();
-        Geometry::compile(mesh, level, false, Displacement::of(mesh, materials, &images), &images)
+        Geometry::compile(mesh.clone(), level, false, Displacement::of(mesh, materials, &images), &images)
     }
 
     /// A cube of side 2; with `split`, each face has points of its own. Primvar h is by face and differs between faces.

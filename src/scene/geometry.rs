@@ -144,15 +144,18 @@ impl Geometry {
     /// times and moved to its limit; at level 0 it is its cage. Then `displacement` moves its points. With `deforms` the
     /// points have their keys.
     pub fn compile(
-        mesh: &flat::Mesh,
+        mesh: flat::Mesh,
         level: u32,
         deforms: bool,
         displacement: Option<Displacement>,
         images: &ImageCache,
     ) -> Self {
         let displacement = displacement.map(|displacement| (displacement, images));
-        let mut geometry = Self::about(mesh, level, centre(&mesh.points), deforms, displacement);
-        if let Some(keys) = mesh.point_keys.as_ref().filter(|_| deforms) {
+        let moving = mesh.point_keys.is_some() && deforms;
+        let moving = moving.then(|| mesh.clone());
+        let centre = centre(&mesh.points);
+        let mut geometry = Self::about(mesh, level, centre, deforms, displacement);
+        if let Some((mesh, keys)) = moving.as_ref().and_then(|mesh| Some((mesh, mesh.point_keys.as_ref()?))) {
             geometry.deformation = Some(Box::new(geometry.deformed(mesh, keys, images)));
         }
         geometry
@@ -167,7 +170,7 @@ impl Geometry {
                 normals.values = values.clone();
             }
             let displacement = self.displacement.clone().map(|displacement| (displacement, images));
-            let there = Self::about(&there, level, self.centre, true, displacement);
+            let there = Self::about(there, level, self.centre, true, displacement);
             (there.points, there.normals)
         };
         let (points, normals): (Vec<_>, Vec<_>) = (0..keys.times.len()).into_par_iter().map(at).unzip();
@@ -178,38 +181,39 @@ impl Geometry {
 
     /// Without a tree where others take its place.
     fn about(
-        mesh: &flat::Mesh,
+        mesh: flat::Mesh,
         level: u32,
         centre: DVec3,
         treeless: bool,
         displacement: Option<(Displacement, &ImageCache)>,
     ) -> Self {
         let points: Vec<Vec3> = mesh.points.iter().map(|p| (Vec3::from(*p).as_dvec3() - centre).as_vec3()).collect();
-        let build = |mesh: &flat::Mesh, points, refinement| {
+        let build = |mesh: flat::Mesh, points, refinement| {
             Self::build(mesh, points, centre, refinement, displacement, treeless)
         };
-        if !subdivision::is_subdivided(mesh) {
+        if !subdivision::is_subdivided(&mesh) {
             return build(mesh, points, None);
         }
         if level == 0 {
             let cage_faces = mesh.face_vertex_counts.len();
             return build(mesh, points, Some(Refinement { asked: 0, level, cage_faces, faults: Vec::new() }));
         }
-        let refined = subdivision::refine(mesh, &points, level);
-        build(&refined.mesh, refined.points, Some(refined.refinement))
+        let refined = subdivision::refine(&mesh, &points, level);
+        drop(mesh);
+        build(refined.mesh, refined.points, Some(refined.refinement))
     }
 
     /// From a mesh whose points are about `centre` already.
     fn build(
-        mesh: &flat::Mesh,
+        mesh: flat::Mesh,
         mut points: Vec<Vec3>,
         centre: DVec3,
         refinement: Option<Refinement>,
         displacement: Option<(Displacement, &ImageCache)>,
         treeless: bool,
     ) -> Self {
-        let soup = triangulate(mesh);
-        let slots = slots(mesh, &soup.faces);
+        let soup = triangulate(&mesh);
+        let slots = slots(&mesh, &soup.faces);
         let mut primvars: BTreeMap<String, Values> =
             mesh.primvars.iter().map(|(name, primvar)| (name.clone(), Values::new(primvar, &soup))).collect();
         let strands = Strands::take(&mut primvars).map(Box::new);
@@ -234,14 +238,15 @@ impl Geometry {
         }
         let display_color = mesh.display_color.as_ref().map(|c| attribute(c, &soup, Vec3::from));
         let Triangulation { triangles, corners, faces } = soup;
-        drop((corners, faces)); // a tree being built needs the room
+        let display_opacity = mesh.display_opacity.as_ref().and_then(|o| o.values.first().copied()).unwrap_or(1.0);
+        drop((mesh, corners, faces)); // a tree being built needs the room
         let blas = Blas::build(&points, if treeless { &[] } else { &triangles });
         let closed = strands.as_ref().is_some_and(|strands| !strands.ribbons);
         Self {
             blas: if closed { blas.one_sided() } else { blas },
             normals,
             display_color,
-            display_opacity: mesh.display_opacity.as_ref().and_then(|o| o.values.first().copied()).unwrap_or(1.0),
+            display_opacity,
             primvars,
             strands,
             slots,

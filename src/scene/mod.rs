@@ -26,7 +26,7 @@ mod strands;
 mod tracks;
 
 pub use company::Around;
-pub use compile::{CompileStats, Kept, compile};
+pub use compile::{CompileStats, Kept, compile, compile_last};
 pub use driven::Driven;
 pub use enclosure::{BoundaryHit, InstanceEnclosure};
 pub use geometry::{Attribute, Geometry};

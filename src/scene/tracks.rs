@@ -50,7 +50,7 @@ impl Tracks {
             first += of_mesh.len() as u32;
             if cache.contains_key(path) && mesh.point_keys.is_some() {
                 let displacement = Displacement::of(mesh, &flat.materials, images);
-                let moving = Geometry::compile(mesh, geometry.asked_level(), true, displacement, images);
+                let moving = Geometry::compile(mesh.clone(), geometry.asked_level(), true, displacement, images);
                 shapes.extend(moving.deformation.map(|deformation| (prim_id, *deformation)));
             }
         }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import weakref
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from pxr import Gf, Usd, UsdGeom, Vt
 
 core = pytest.importorskip("dermis._core")
 
-from dermis import hydra  # noqa: E402
+from dermis import hydra, merging  # noqa: E402
 from dermis.hydra import Delegate  # noqa: E402
 from dermis.stage import flatten  # noqa: E402
 
@@ -230,3 +231,45 @@ def test_a_large_mesh_of_usd_is_in_memory_once():
     before, delegate = resident(), Delegate()
     delegate.sync("/M", {"type": "Mesh", "points": points})
     assert resident() - before < 12 * count / 4
+
+
+def test_the_last_commit_lets_go_what_meshes_are_made_of(tmp_path):
+    """The same picture, the same fingerprint, and an error for whoever goes on."""
+    settings = {"camera": "/Cam", "resolution": [16, 16], "samples": 2}
+    images, files = [], []
+    for last in (False, True):
+        delegate = Delegate()
+        hydra.populate(delegate.core, flatten(open_stage()))
+        delegate.set_settings(**settings)
+        assert delegate.commit(last)["blas_built"] == 2
+        delegate.start()
+        assert delegate.wait(60.0)
+        images.append(delegate.snapshot()["color"])
+        files.append(tmp_path / f"{last}.exr")
+        delegate.core.write_exr(str(files[-1]), "{}")
+        assert delegate.core.bounds()[1][0] == pytest.approx(1.8)
+    np.testing.assert_array_equal(*images)
+    assert len({merging.read_part(str(file)).attributes["dermis:fingerprint"] for file in files}) == 1
+    delegate.set_settings(samples=3)
+    for follow in (
+        delegate.commit,
+        lambda: delegate.commit(True),
+        lambda: delegate.core.save(str(tmp_path / "a")),
+    ):
+        with pytest.raises(core.CoreError, match="last commit"):
+            follow()
+
+
+def test_arrays_of_usd_are_given_back_with_the_last_commit():
+    points = Vt.Vec3fArray.FromNumpy(np.eye(3, dtype=np.float32))
+    view = np.asarray(points)
+    gone = weakref.ref(view)
+    delegate = Delegate()
+    hydra.populate(delegate.core, flatten(open_stage()))
+    faces = {"faceVertexCounts": np.array([3], np.int32), "faceVertexIndices": np.arange(3, dtype=np.int32)}
+    delegate.sync("/M", {"type": "Mesh", "points": view, **faces})
+    delegate.set_settings(camera="/Cam")
+    del view, points
+    assert gone() is not None
+    delegate.commit(last=True)
+    assert gone() is None

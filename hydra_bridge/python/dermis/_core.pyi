@@ -38,7 +38,8 @@ class Delegate:
 
     def sync(self, path: str, prim: str, arrays: Sequence[NDArray], dirty_bits: int) -> None:
         """Inserts or edits a prim. `prim` is JSON in which `{"array": i}` stands for `arrays[i]`
-        (C-contiguous float32, float64 or int32; shape (n,), (n, k) or (n, 4, 4)); copied once.
+        (C-contiguous float32, float64 or int32; shape (n,), (n, k) or (n, 4, 4)); views of USD's arrays, which
+        nobody writes to, are read in place, others are copied.
         Of an existing prim only the aspects named by `dirty_bits` are replaced."""
 
     def remove(self, path: str) -> None: ...
@@ -54,8 +55,10 @@ class Delegate:
     def warn(self, path: str, message: str) -> None:
         """Adds a warning of the bridge to those of the scene."""
 
-    def commit(self) -> str:
-        """Compiles what is dirty; JSON with what was rebuilt (`blas_built`, `instances`, `lights`, `seconds`...)."""
+    def commit(self, last: bool = False) -> str:
+        """Compiles what is dirty; JSON with what was rebuilt (`blas_built`, `instances`, `lights`, `seconds`...).
+        `last`: points and faces of meshes are let go as soon as they are compiled; another commit then fails, and
+        `save`."""
 
     def explain(self) -> str:
         """JSON: what the committed scene needs (`needs`), what was switched on and why (`capabilities`), which walk

@@ -209,9 +209,10 @@ class Delegate:
     def settings(self) -> dict[str, Any]:
         return json.loads(self.core.settings())
 
-    def commit(self) -> dict[str, Any]:
-        """Compiles what is dirty; returns what was rebuilt."""
-        return json.loads(self.core.commit())
+    def commit(self, last: bool = False) -> dict[str, Any]:
+        """Compiles what is dirty; returns what was rebuilt. `last`: no edit follows, so that points and faces of
+        meshes, which take a third of the room, are let go as soon as they are compiled; the next commit fails."""
+        return json.loads(self.core.commit(last))
 
     def start(self) -> None:
         """Starts the render in the background; call after `commit`."""

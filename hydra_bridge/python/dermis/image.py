@@ -93,9 +93,10 @@ def render(
         if "textureMemory" in settings:
             flat.settings["textureMemory"] = settings["textureMemory"]
         populate(delegate, flat)
+        del flat  # its arrays are let go with the last commit
     if settings:
         delegate.set_settings(json.dumps(settings, allow_nan=False))
-    delegate.commit()
+    delegate.commit(True)
     run(delegate)
     return Image(delegate.snapshot(), json.loads(delegate.stats()))
 

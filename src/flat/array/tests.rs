@@ -1,5 +1,4 @@
 use super::*;
-use std::ptr::NonNull;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Says when it goes.
@@ -48,4 +47,15 @@ fn lent_memory_that_is_not_aligned_is_copied_and_parts_of_elements_are_refused()
     let array = AnyArray::Lent { memory, scalar: Scalar::F32, components: 3 }.into_array::<[f32; 3]>().unwrap();
     assert_eq!(*array, [[1.0, 2.0, 3.0]]);
     assert!(gone.load(Ordering::Relaxed));
+}
+
+#[test]
+fn what_is_serialised_is_in_memory_once() {
+    let array = Array::from(vec![[1.0_f32, 2.0, 3.0]; 4]);
+    let (text, arrays) = collect_arrays(|| serde_json::to_string(&array).unwrap());
+    assert_eq!((text.as_str(), arrays[0].len(), arrays[0].components()), (r#"{"array":0}"#, 4, 3));
+    assert_eq!(arrays[0].bytes().as_ptr(), array.as_ptr().cast());
+    drop(array);
+    let again: Array<[f32; 3]> = with_arrays(arrays, || serde_json::from_str(&text)).unwrap();
+    assert_eq!(*again, [[1.0, 2.0, 3.0]; 4]);
 }

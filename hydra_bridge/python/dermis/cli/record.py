@@ -133,7 +133,8 @@ class Recorder:
         self.refuse_same_file(outputs)
         for file in self.files(outputs, when):
             output.prepare_folder(file)
-        loaded = self.scene.load(when, outputs)
+        last = number == len(self.scene.times) - 1
+        loaded = self.scene.load(when, outputs, last)
         self.say(
             f"Camera: {loaded.camera}", "Renderer plugin: dermis", *loaded.log, *_replaced(outputs, self.args)
         )
@@ -144,7 +145,7 @@ class Recorder:
             if i > 0:
                 loaded.delegate.set_settings(json.dumps(view.settings))
                 loaded.camera = view.camera
-            loaded.delegate.commit()
+            loaded.delegate.commit(last and view is loaded.views[-1])
             self.say(*refinement_lines(json.loads(loaded.delegate.explain())["subdivision"]))
             shown = (number * len(loaded.views) + i) / len(loaded.views)
             with interrupt.deferred():

@@ -72,7 +72,7 @@ class FlatFile:
         """The files of the only time there is."""
         return planned(file, [])
 
-    def load(self, when: None, outputs: list[Output] | None = None) -> Loaded:
+    def load(self, when: None, outputs: list[Output] | None = None, last: bool = True) -> Loaded:
         began = time.monotonic()
         delegate = Delegate.load(self.args.usdFilePath)
         stored = json.loads(delegate.settings())
@@ -143,7 +143,8 @@ class Stage:
         found = products.flatten_products(prim, Reader(when, Report())) if prim else []
         return planned(file, found, bool(self.args.frames), when, typed_aovs="aovs" in self.typed)
 
-    def load(self, when: Usd.TimeCode, outputs: list[Output] | None = None) -> Loaded:
+    def load(self, when: Usd.TimeCode, outputs: list[Output] | None = None, last: bool = False) -> Loaded:
+        """`last`: no other follows, so that nothing is kept for it."""
         began = time.monotonic()
         delegate, previous = self._delegate or Delegate(), self._previous
         self._delegate = self._previous = None  # not kept if this frame fails half-way
@@ -162,7 +163,8 @@ class Stage:
         loaded.warnings.extend(flat.warnings)
         loaded.seconds = self._opening + time.monotonic() - began
         self._opening = 0.0
-        self._delegate, self._previous = delegate, flat
+        if not last:
+            self._delegate, self._previous = delegate, flat
         return loaded
 
     def _options(self) -> stage.Options:
