@@ -13,7 +13,8 @@ STAGE = Path(__file__).resolve().parents[2] / "shared" / "scenes" / "creature_sp
 READ = """
 import sys
 from pxr import Usd
-for prim in Usd.Stage.Open(sys.argv[1]).Traverse():
+stage = Usd.Stage.Open(sys.argv[1])
+for prim in stage.Traverse():
     for attribute in prim.GetAttributes():
         attribute.Get()
 """

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import CAMERA, CARD, DOME, read_exr, run, write_stage
+from command_line import CAMERA, CARD, DOME, channels, read_exr, run, stage_text, write_stage
 from PIL import Image
 
 pytest.importorskip("dermis._core", reason="the Rust core is not built")
@@ -584,3 +584,69 @@ def test_primvars_that_a_material_reads_follow_refinement(stage, body):
     image = render(stage(prim, MAPPED, CAMERA, DOME), resolution=(64, 64), samples=8, refineLevel=2)
     left, right = image["albedo"][:, :32].mean((0, 1)), image["albedo"][:, 32:].mean((0, 1))
     assert left[0] > 2 * left[1] and right[1] > 2 * right[0] and left[0] == pytest.approx(right[1], rel=0.2)
+
+
+ODD = """
+def RenderSettings "R"
+{
+    rel products = [</R/P>]
+    float4 dataWindowNDC = (1, 1, 0, 0)
+    string dermis:walk = "jog"
+    int dermis:seed = 7
+    def RenderProduct "P"
+    {
+        rel orderedVars = [</R/V>]
+    }
+    def RenderVar "V"
+    {
+        string sourceName = "nonsense"
+    }
+}
+def Sphere "Seen"
+{
+    token purpose = "odd"
+    token visibility = "maybe"
+}
+"""
+
+
+def test_what_is_odd_on_a_stage_costs_itself_alone(tmp_path, capsys):
+    """One line each that names the prim; the image is that of a stage without."""
+    files = [tmp_path / "odd.usda", tmp_path / "plain.usda"]
+    plain = (
+        ODD.replace('"jog"', '"auto"').replace("(1, 1, 0, 0)", "(0, 0, 1, 1)").replace('"odd"', '"default"')
+    )
+    for file, text in zip(files, (ODD, plain), strict=True):
+        head = 'renderSettingsPrimPath = "/R"'
+        file.write_text(stage_text(CARD, CAMERA, DOME, metadata=head, outside=text))
+        assert run("record", file, file.with_suffix(".exr"), "-w", "8", "--samples", "1") == 0
+        said = capsys.readouterr().err
+        if file is files[0]:
+            lines = [line for line in said.splitlines() if line.startswith("Warning: ")]
+            for words in (
+                "/R: dataWindowNDC: (1.0, 1.0, 0.0, 0.0) has no pixels",
+                '/R: walk is "jog"; give auto, ',
+                "/R/V: sourceName: 'nonsense' is not written",
+                "/R/P: orderedVars: none of them can be written; the beauty is",
+                "/Seen: purpose: 'odd' is not known; 'default' is used",
+                "/Seen: visibility: 'maybe' is not known; 'inherited' is used",
+            ):
+                assert sum(words in line for line in lines) == 1, (words, said)
+    odd, expected = (channels(file.with_suffix(".exr")) for file in files)
+    assert odd.keys() == expected.keys() and odd["R"].max() > 0.1
+    for name, values in odd.items():
+        np.testing.assert_array_equal(values, expected[name])
+
+
+def test_a_mask_that_holds_nothing_is_said(stage, tmp_path, capsys):
+    file = stage(CARD, CAMERA, DOME)
+    assert run("record", file, tmp_path / "o.exr", "--mask", "/Nope", "-w", "8", "--samples", "1") == 0
+    assert "Warning: /Nope: mask: there is no such prim" in capsys.readouterr().err
+
+
+def test_a_message_is_one_line(tmp_path, capsys):
+    cycle = 'def "A" (\n    references = </B>\n)\n{\n}\ndef "B" (\n    references = </A>\n)\n{\n}\n'
+    (tmp_path / "s.usda").write_text(stage_text(CARD, CAMERA, DOME, outside=cycle))
+    assert run("record", tmp_path / "s.usda", tmp_path / "o.exr", "-w", "8", "--samples", "1") == 0
+    said = [line for line in capsys.readouterr().err.splitlines() if "composition: Cycle detected" in line]
+    assert len(said) == 2 and all("CANNOT reference" in line for line in said)

@@ -102,6 +102,9 @@ def product_layers(product: Usd.Prim, reader: Reader) -> list[dict[str, Any]]:
         if aov.startswith(PRIMVAR):
             layer["channels"] = channels_of(kind)
         layers.append(layer)
+    if not layers:
+        reader.warn(product, "orderedVars: none of them can be written; the beauty is")
+        return [{"name": "", "aov": BEAUTY, "half": False}]
     return layers
 
 

@@ -22,7 +22,8 @@ class Report:
         self._seen: set[tuple[str, str]] = set()
 
     def warn(self, prim: str | Usd.Prim, message: str) -> None:
-        entry = (str(prim.GetPath()) if isinstance(prim, Usd.Prim) else str(prim), message)
+        # One line, whatever libraries have to say.
+        entry = (str(prim.GetPath()) if isinstance(prim, Usd.Prim) else str(prim), " ".join(message.split()))
         if entry not in self._seen:
             self._seen.add(entry)
             self.warnings.append(entry)

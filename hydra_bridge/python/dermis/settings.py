@@ -81,7 +81,12 @@ def base_settings(prim: Usd.Prim, reader: Reader) -> dict[str, Any]:
     if authored(prim, "pixelAspectRatio"):
         settings["pixelAspectRatio"] = reader.value(prim, "pixelAspectRatio", 1.0)
     if authored(prim, "dataWindowNDC"):
-        settings["dataWindowNDC"] = list(reader.value(prim, "dataWindowNDC", (0.0, 0.0, 1.0, 1.0)))
+        window = reader.value(prim, "dataWindowNDC", (0.0, 0.0, 1.0, 1.0))
+        if window[0] < window[2] and window[1] < window[3]:
+            settings["dataWindowNDC"] = list(window)
+        else:
+            message = "give x0 y0 x1 y1 with x0 < x1 and y0 < y1; the whole image is rendered"
+            reader.warn(prim, f"dataWindowNDC: {window} has no pixels; {message}")
     if authored(prim, "disableDepthOfField"):
         settings["disableDepthOfField"] = reader.value(prim, "disableDepthOfField", False)
     # The older name has the same meaning; either may switch motion blur off.

@@ -27,6 +27,9 @@ UNSUPPORTED_PRIMS = (
     "Volume",
 )
 
+VISIBILITIES = ("inherited", "invisible")
+PURPOSES = ("default", "render", "proxy", "guide")
+
 IDENTITY = Gf.Matrix4d(1.0)
 INSTANCES = Usd.TraverseInstanceProxies()
 PROTOTYPES = Usd.TraverseInstanceProxies(Usd.PrimIsActive & Usd.PrimIsLoaded)
@@ -249,10 +252,10 @@ def descend(prim: Usd.Prim, context: Context, reader: Reader) -> Context:
     """The context of a prim from that of its parent."""
     changes: dict[str, Any] = {}
     names = prim.GetAuthoredPropertyNames()
-    if "visibility" in names and reader.value(prim, "visibility", "inherited") == "invisible":
+    if "visibility" in names and word(prim, "visibility", VISIBILITIES, reader) == "invisible":
         changes["visible"] = False
     if "purpose" in names:
-        changes["purpose"] = reader.value(prim, "purpose", "default")
+        changes["purpose"] = word(prim, "purpose", PURPOSES, reader)
     if any(name.startswith("primvars:") for name in names):
         changes["primvars"] = constant_primvars(prim, context, reader)
     if any(name.startswith("material:binding") for name in names):
@@ -261,6 +264,15 @@ def descend(prim: Usd.Prim, context: Context, reader: Reader) -> Context:
     if any(name.startswith("skel:") for name in names):
         changes["skel"] = skel_bindings(prim, context)
     return replace(context, **changes) if changes else context
+
+
+def word(prim: Usd.Prim, name: str, words: tuple[str, ...], reader: Reader) -> str:
+    """A token attribute; the first of `words` where it is none of them."""
+    value = reader.value(prim, name, words[0])
+    if value in words:
+        return value
+    reader.warn(prim, f"{name}: '{value}' is not known; '{words[0]}' is used; give {', '.join(words)}")
+    return words[0]
 
 
 def skel_bindings(prim: Usd.Prim, context: Context) -> tuple:

@@ -125,7 +125,9 @@ class Stage:
         mask = (args.populationMask or "").replace(",", " ").split() or None
         self.stage = stage.open_stage(args.usdFilePath, args.sessionLayerPath, mask)
         self.times = resolve_times(parser, args, self.stage, paths)
-        self.warnings: Warnings = []
+        self.warnings: Warnings = [
+            (path, "mask: there is no such prim") for path in mask or () if not self.stage.GetPrimAtPath(path)
+        ]
         self.settings_path = self._settings_path()
         self.purposes = self._purposes()
         self._opening = time.monotonic() - began
@@ -150,6 +152,7 @@ class Stage:
         self._delegate = self._previous = None  # not kept if this frame fails half-way
         flat = stage.flatten(self.stage, when, self._options(), previous)
         loaded = Loaded(delegate, "", 0.0, warnings=[*self.warnings])
+        flat.settings = self._taken(flat.settings, loaded)
         authored = {**flat.settings}
         loaded.views = [
             self._settle_view(flat, when, loaded, authored, group) for group in grouped(outputs or [])
@@ -166,6 +169,18 @@ class Stage:
         if not last:
             self._delegate, self._previous = delegate, flat
         return loaded
+
+    def _taken(self, authored: Settings, loaded: Loaded) -> Settings:
+        """The settings of the stage that the core takes; a typing error in one of them costs that one."""
+        tried, good = Delegate(), {}
+        for name, value in authored.items():
+            try:
+                tried.set_settings(json.dumps({name: value}))
+                good[name] = value
+            except (CoreError, ValueError) as error:
+                fault = self.settings_path, str(error).removeprefix("render settings: ") + "; it is ignored"
+                loaded.warnings.extend({fault} - {*loaded.warnings})
+        return good
 
     def _options(self) -> stage.Options:
         typed = self.typed.get("disableMotionBlur")
@@ -207,6 +222,7 @@ class Stage:
         if first and first.product:
             vars_of_first = {"aovs": authored["aovs"]} if "aovs" in self.typed and "aovs" in authored else {}
             authored = {**self._shared_settings(authored, when), **first.settings, **vars_of_first}
+            authored = self._taken(authored, loaded)
         if any(prim == authored.get("camera") and said.startswith("camera:") for prim, said in flat.warnings):
             del authored["camera"]
         loaded.log += overrides(self.typed, authored, source)
