@@ -1,4 +1,4 @@
-"""Writes subdivision.usda, curves.usda and points.usda: python usd_scenes/geometry_scenes.py"""
+"""Writes subdivision.usda, curves.usda, points.usda and hair.usda: python usd_scenes/geometry_scenes.py"""
 
 import math
 import random
@@ -155,7 +155,9 @@ def curves() -> None:
     stage.Save()
 
 
-def tuft(stage: Usd.Stage) -> None:
+def tuft(
+    stage: Usd.Stage, path: str = "/World/Tuft", at: tuple[float, float] = (1.0, 3.4)
+) -> UsdGeom.BasisCurves:
     chance = random.Random(1)
     points, colors, widths = [], [], []
     number = 300
@@ -168,11 +170,12 @@ def tuft(stage: Usd.Stage) -> None:
             points.append(short(root + Gf.Vec3f(0, 2.2 * t - 0.7 * t * t, 0) + lean * (t * t)))
             colors.append(short(Gf.Vec3f(0.18 + 0.4 * t, 0.08 + 0.25 * t, 0.03 + 0.1 * t)))
             widths.append(round(0.045 * (1.0 - t) ** 0.7, 4))
-    hair = curves_prim(stage, "/World/Tuft", [5] * number, points, widths, basis="catmullRom", wrap="pinned")
+    hair = curves_prim(stage, path, [5] * number, points, widths, basis="catmullRom", wrap="pinned")
     UsdGeom.PrimvarsAPI(hair).CreatePrimvar("displayColor", Sdf.ValueTypeNames.Color3fArray, "vertex").Set(
         colors
     )
-    place(hair, 1.0, 0.0, 3.4)
+    place(hair, at[0], 0.0, at[1])
+    return hair
 
 
 def points() -> None:
@@ -214,7 +217,65 @@ def points() -> None:
     stage.Save()
 
 
+def node(stage: Usd.Stage, path: str, name: str, **inputs: object) -> UsdShade.Shader:
+    shader = UsdShade.Shader.Define(stage, path)
+    shader.CreateIdAttr(name)
+    for key, value in inputs.items():
+        shader.CreateInput(key, Sdf.ValueTypeNames.Float).Set(value)
+    return shader
+
+
+def hair_look(stage: Usd.Stage, path: str, melanin: float, redness: float) -> UsdShade.Material:
+    """MaterialX: a surface around chiang_hair_bsdf, its roughness and absorption by nodes of their own."""
+    material = UsdShade.Material.Define(stage, path)
+    strand = node(stage, f"{path}/Strand", "ND_chiang_hair_bsdf", cuticle_angle=0.515)
+    pigment = node(
+        stage,
+        f"{path}/Melanin",
+        "ND_deon_hair_absorption_from_melanin",
+        melanin_concentration=melanin,
+        melanin_redness=redness,
+    )
+    rough = node(stage, f"{path}/Roughness", "ND_chiang_hair_roughness", longitudinal=0.2, azimuthal=0.3)
+    absorption = pigment.CreateOutput("absorption", Sdf.ValueTypeNames.Float3)
+    strand.CreateInput("absorption_coefficient", Sdf.ValueTypeNames.Float3).ConnectToSource(absorption)
+    for lobe in ("R", "TT", "TRT"):
+        output = rough.CreateOutput(f"roughness_{lobe}", Sdf.ValueTypeNames.Float2)
+        strand.CreateInput(f"roughness_{lobe}", Sdf.ValueTypeNames.Float2).ConnectToSource(output)
+    surface = node(stage, f"{path}/Surface", "ND_surface")
+    bsdf = strand.CreateOutput("out", Sdf.ValueTypeNames.Token)
+    surface.CreateInput("bsdf", Sdf.ValueTypeNames.Token).ConnectToSource(bsdf)
+    material.CreateSurfaceOutput("mtlx").ConnectToSource(
+        surface.CreateOutput("out", Sdf.ValueTypeNames.Token)
+    )
+    return material
+
+
+def hair() -> None:
+    """One tuft in chiang_hair_bsdf: with little melanin, with red one, with much; lit from the side and from behind."""
+    stage = new_stage("hair.usda", " ".join(hair.__doc__.split()), (0.0, 2.6, 9.0), 45.0)
+    strands = tuft(stage, "/Tuft", (0.0, 0.0)).GetPrim()
+    strands.RemoveProperty("primvars:displayColor")
+    strands.SetSpecifier(Sdf.SpecifierClass)
+    for name, x, melanin, redness in (
+        ("Fair", -2.2, 0.12, 0.2),
+        ("Red", 0.0, 0.45, 0.9),
+        ("Dark", 2.2, 0.9, 0.2),
+    ):
+        prim = stage.DefinePrim(f"/World/{name}")
+        prim.GetReferences().AddInternalReference("/Tuft")
+        place(UsdGeom.BasisCurves(prim), x, 0.0, 0.0)
+        UsdShade.MaterialBindingAPI.Apply(prim).Bind(hair_look(stage, f"/World/{name}Look", melanin, redness))
+    back = UsdLux.RectLight.Define(stage, "/World/Back")
+    back.CreateWidthAttr(4.0)
+    back.CreateHeightAttr(2.0)
+    back.CreateIntensityAttr(30.0)
+    UsdGeom.XformCommonAPI(back).SetTranslate((2.0, 5.0, -6.0))
+    UsdGeom.XformCommonAPI(back).SetRotate((-35.0, 160.0, 0.0))
+    stage.Save()
+
+
 if __name__ == "__main__":
-    for write in (subdivision, curves, points):
+    for write in (subdivision, curves, points, hair):
         (HERE / f"{write.__name__}.usda").unlink(missing_ok=True)
         write()

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 from conftest import stage_of
+from pinhole import rays
+from pxr import Usd
 
 import dermis
 from dermis.dome_layout import LAYOUTS, to_latlong
@@ -116,3 +118,33 @@ def Camera "Cam"
     weight = (np.cos(theta) * np.sin(theta))[..., None]
     expected = 0.5 * (painted(d) * weight).sum((0, 1)) / weight.sum()
     assert np.allclose(image.color[..., :3].mean((0, 1)), expected, rtol=0.01)
+
+
+@pytest.mark.parametrize("layout", ["latlong", *LAYOUTS])
+def test_our_stage(layout, usd_scenes, monkeypatch):
+    """The sky that its images were painted with: in the mirror, and by quadrature on the matte ball."""
+    monkeypatch.syspath_prepend(usd_scenes)
+    from dome_scene import sky
+
+    stage = Usd.Stage.Open(str(usd_scenes / "dome_layouts.usda"))
+    assert stage.GetPrimAtPath("/World").GetVariantSet("layout").SetVariantSelection(layout)
+    image = dermis.render(stage, resolution=(60, 30), samples=64, maxDepth=1, aovs=[])
+    assert image.stats["warnings"] == []
+    color, sight = image.color[..., :3].astype(float), rays((60, 30), 40, 24, (0, 0, 9))
+    # About the middle, where neither ball sees much of the other.
+    mirror = sight.sphere(np.array([-1.3, 0, 0]), 1.1)
+    there = ((np.abs(mirror[..., 0] + 1.3) < 0.35) & (np.abs(mirror[..., 1]) < 0.8)).all(0)
+    normal = (mirror[:, there] - [-1.3, 0, 0]) / 1.1
+    d = sight.d[:, there]
+    expected = sight.mean(sky(d - 2 * (d * normal).sum(-1, keepdims=True) * normal))
+    # The images are coarse: a pixel is 3 to 5 degrees.
+    assert there.sum() > 60 and np.allclose(color[there].mean(0), expected.mean(0), rtol=0.015)
+    assert np.median(np.abs(color[there] / expected - 1)) < 0.04
+    matte = sight.sphere(np.array([1.3, 0, 0]), 1.1)
+    there = ((np.abs(matte[..., 0] - 1.3) < 0.3) & (np.abs(matte[..., 1]) < 0.8)).all(0)
+    theta, phi = np.meshgrid((np.arange(90) + 0.5) * np.pi / 90, (np.arange(180) + 0.5) * np.pi / 90)
+    d = np.stack([np.sin(theta) * np.cos(phi), np.cos(theta), np.sin(theta) * np.sin(phi)], -1).reshape(-1, 3)
+    received = sky(d) * np.sin(theta).reshape(-1, 1) * (np.pi / 90) ** 2
+    normal = (sight.mean(matte[:, there]) - [1.3, 0, 0]) / 1.1
+    expected = 0.5 / np.pi * np.clip(normal @ d.T, 0, None) @ received
+    assert np.allclose(color[there].mean(0), expected.mean(0), rtol=0.015)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from pxr import Usd, UsdLux, UsdShade
 
 pytest.importorskip("dermis._core", reason="the Rust core is not built")
 
@@ -328,3 +329,23 @@ def test_a_colour_along_the_strand(make_stage):
     assert image.stats["warnings"] == []
     left, right = image.color[0, 4, :3], image.color[0, -5, :3]
     assert left[0] < 0.8 * left[2] and right[2] < 0.8 * right[0]
+
+
+def test_our_stage_is_white_in_a_furnace(usd_scenes):
+    """usd_scenes/hair.usda without melanin in even light: as bright as it is there."""
+    stage = Usd.Stage.Open(str(usd_scenes / "hair.usda"))
+    stage.SetEditTarget(stage.GetSessionLayer())
+    for name in ("Key", "Back", "Floor"):
+        stage.GetPrimAtPath(f"/World/{name}").SetActive(False)
+    UsdLux.DomeLight(stage.GetPrimAtPath("/World/Dome")).GetIntensityAttr().Set(1.0)
+    for name in ("Fair", "Red", "Dark"):
+        pigment = UsdShade.Shader(stage.GetPrimAtPath(f"/World/{name}Look/Melanin"))
+        pigment.GetInput("melanin_concentration").Set(0.0)
+    image = dermis.render(
+        stage, resolution=[64, 36], samples=16, maxDepth=200, camera="/World/main_cam", aovs=["variance"]
+    )
+    assert image.stats["warnings"] == []
+    color, there = image.color[..., :3].astype(float), image.color[..., 3].astype(float)
+    assert there.mean() > 0.15
+    error = np.sqrt(image["variance"].astype(float).sum((0, 1))) / there.size
+    assert (np.abs(color.mean((0, 1)) - there.mean()) < 4 * error + 1e-3).all() and error.max() < 0.01

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from conftest import stage_of
+from pinhole import rays
 
 import dermis
 from dermis.ies import ProfileError, parse
@@ -252,3 +253,33 @@ def test_a_wide_light_by_quadrature(profile):
     expected *= 0.01 / np.pi
     assert abs(got.mean() / expected.mean() - 1.0) < 0.006
     assert np.abs(got / expected - 1.0).max() < 0.03
+
+
+def test_our_stage(usd_scenes):
+    """Wall and floor of usd_scenes/ies.usda by the inverse square law and numpy's interpolation of the file."""
+    numbers = (usd_scenes / "downlight.ies").read_text().split("TILT=NONE")[1].split()[13:]
+    vertical, horizontal = np.array(numbers[:10], float), np.array(numbers[10:15], float)
+    candela = np.array(numbers[15:], float).reshape(5, 10)
+    image = dermis.render(usd_scenes / "ies.usda", resolution=(64, 32), samples=64, maxDepth=0, aovs=[])
+    assert image.stats["warnings"] == []
+    sight = rays((64, 32), 30, 24, (0, 1.9, 9.2))
+    p = sight.plane(2)
+    floor = p[..., 1] < 0
+    p[floor] = sight.plane(1)[floor]
+    expected = np.zeros((32, 64))
+    for x, intensity, scale in ((-2.4, 250.0, None), (0.0, 2.0, 1.0), (2.4, 2.0, 0.6)):
+        way = p - np.array([x, 3.2, 0.5])
+        distance2 = (way**2).sum(-1)
+        cosine = np.where(floor, -way[..., 1], -way[..., 2]) / np.sqrt(distance2)
+        shape = 1.0
+        if scale:
+            theta = np.degrees(np.arccos(-way[..., 1] / np.sqrt(distance2))) / scale
+            # Half of the turn is measured; +Y of the light is the room's -Z.
+            phi = np.abs(np.degrees(np.arctan2(-way[..., 2], way[..., 0])))
+            shape = interpolated(theta, phi, vertical, horizontal, candela)
+        expected += sight.mean(0.5 * intensity * 0.03**2 * cosine / distance2 * shape)
+    got = image.color[..., 0].astype(float)
+    assert got.mean() == pytest.approx(expected.mean(), rel=6e-3)
+    blocks, known = (a.reshape(8, 4, 16, 4).mean((1, 3)) for a in (got, expected))
+    lit = known > 0.02
+    assert lit.sum() > 30 and np.abs(blocks[lit] / known[lit] - 1.0).max() < 0.06

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from command_line import CAMERA, CARD, channels, run, stage_text, write_stage
+from pinhole import rays
 from pxr import Sdf, Usd
 
 import dermis
@@ -296,3 +297,61 @@ def test_what_does_not_glow_tints_nothing():
 def test_modes_that_are_not_known_are_said():
     result = flatten(opened(stage_text(panel("sometimes"))))
     assert any("light:materialSyncMode: 'sometimes'" in message for _, message in result.warnings)
+
+
+def of_panel(p: np.ndarray, x: float) -> np.ndarray:
+    """Irradiance over radiance at points of the floor, from the panel of usd_scenes/sync_modes.usda at `x`."""
+    u, v = np.meshgrid(*2 * [(np.arange(24) + 0.5) / 24 * 1.2 - 0.6])
+    way = np.stack([u + x, v + 0.8, np.full_like(u, -0.5)], -1).reshape(-1, 3) - p[..., None, :]
+    distance2 = (way**2).sum(-1)
+    return (way[..., 1] * -way[..., 2] / distance2**2).sum(-1) * (1.2 / 24) ** 2
+
+
+def test_our_stage_of_sync_modes(usd_scenes):
+    """What is seen of the panels, and what the floor before each gets of it."""
+    image = dermis.render(
+        usd_scenes / "sync_modes.usda", resolution=(80, 40), samples=64, maxDepth=0, aovs=[]
+    )
+    sight = rays((80, 40), 30, 24, (0, 4.6, 8.6), tilt=-24)
+    panels, floors = sight.plane(2, -0.5), sight.plane(1)
+    color = image.color[..., :3].astype(float)
+    glow = np.array([0.1, 0.35, 0.9])
+    for x, lit, seen in ((-2.4, 2 * glow, glow), (0.0, 2.0, glow), (2.4, 2.0, [2.0] * 3)):
+        panel = (np.abs(panels - [x, 0.8, -0.5]) < [0.6, 0.6, 1]).all((0, -1))
+        assert panel.sum() > 40 and np.allclose(color[panel], seen, rtol=1e-3), x
+        floor = (np.abs(floors - [x, 0.0, 1.0]) < [0.9, 1, 1.0]).all((0, -1))
+        # Nearer to the middle a wall stands before the outer parts.
+        floor &= (np.abs(floors[..., 0]) > 1.9).all(0) | (x == 0.0)
+        received = sight.mean(of_panel(floors[:, floor], x)).mean()
+        expected = 0.5 / np.pi * received * np.broadcast_to(lit, 3)
+        assert floor.sum() > 100 and np.allclose(color[floor].mean(0), expected, rtol=0.015), x
+
+
+def test_our_stage_of_groups(usd_scenes):
+    """Its groups are the image; on the free floor, the keys are what spheres of their radiance give."""
+    names = ["light_key", "light_fill", "light_default"]
+    settings = {"resolution": (80, 40), "samples": 128, "maxDepth": 0}
+    image = dermis.render(usd_scenes / "light_groups.usda", aovs=[*names, "light_KeyRight"], **settings)
+    total = sum(image[name].astype(float) for name in names)
+    assert np.allclose(total, image.color[..., :3], rtol=1e-4, atol=1e-5)
+    sight = rays((80, 40), 40, 24, (0, 3.2, 15), tilt=-9)
+    p = sight.plane(1)
+    free = (sight.d[..., 1] < 0) & (np.abs(p[..., 0]) < 9) & (np.abs(p[..., 2]) < 9)
+    spheres = (np.array([-1, 1.2, 0]), 1.2), (np.array([2, 0.5, 1]), 0.5)
+    for middle, radius in spheres:
+        free &= np.isnan(sight.sphere(middle, radius)[..., 0])
+    expected = {}
+    keys = {"KeyLeft": ((-6, 6, 4), 160, (1, 0.7, 0.4)), "KeyRight": ((6, 5, 4), 110, (0.4, 0.6, 1))}
+    for name, (at, intensity, color) in keys.items():
+        way = np.array(at, float) - p
+        distance2 = (way**2).sum(-1)
+        cosine = way[..., 1] / np.sqrt(distance2)
+        expected[name] = (0.4 * intensity * 0.5**2 * cosine / distance2)[..., None] * np.array(color)
+        for middle, radius in spheres:
+            along = np.clip(((middle - p) * way).sum(-1) / distance2, 0, 1)[..., None]
+            free &= np.linalg.norm(middle - p - along * way, axis=-1) > radius + 0.5
+    free = free.all(0)
+    assert free.sum() > 400
+    for name, parts in (("light_KeyRight", ["KeyRight"]), ("light_key", list(keys))):
+        lit = sight.mean(sum(expected[part][:, free] for part in parts)).mean(0)
+        assert np.allclose(image[name][free].mean(0), lit, rtol=0.01), name

@@ -220,3 +220,13 @@ def test_what_is_no_space_is_said():
 
 def test_settings_list_it():
     assert json.loads(dermis._core.Delegate().settings())["renderingColorSpace"] == "lin_rec709_scene"
+
+
+def test_our_stage(usd_scenes):
+    """Colour of the card times colour of the sky, both in ACEScg."""
+    image = dermis.render(usd_scenes / "rendering_space.usda", resolution=[48, 24], samples=64)
+    assert image.stats["warnings"] == []
+    light, card = 1.5 * AP1 @ [1, 0.8, 0.55], np.array([0.05, 0.6, 0.1])
+    for column, to_ap1 in ((14, AP1), (34, AP1 @ np.linalg.inv(REC2020))):
+        got = image.color[8:16, column - 4 : column + 4, :3].mean((0, 1))
+        np.testing.assert_allclose(got, to_ap1 @ card * light, rtol=3e-3)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 
+import dermis
 from dermis.stage import flatten
 
 HEIGHT = 8
@@ -207,3 +208,28 @@ def test_what_does_not_fit_is_named_and_the_mesh_stays_at_rest():
     assert [(path, "jointIndices" in message) for path, message in flat.warnings] == [
         ("/World/Hero/Body", True)
     ]
+
+
+def test_our_stage(usd_scenes):
+    """usd_scenes/skel.usda at its last frame, by linear blend skinning written down in numpy."""
+    stage = Usd.Stage.Open(str(usd_scenes / "skel.usda"))
+    mesh = UsdGeom.Mesh.Get(stage, "/World/Arm/Flesh")
+    rest = np.array(mesh.GetPointsAttr().Get(), float)
+    shape = UsdSkel.BlendShape.Get(stage, "/World/Arm/Flesh/Flex")
+    rest[list(shape.GetPointIndicesAttr().Get())] += np.array(shape.GetOffsetsAttr().Get())
+    share = np.array(UsdGeom.PrimvarsAPI(mesh).GetPrimvar("skel:jointWeights").Get()).reshape(-1, 2)[:, 1:]
+    cos, sin = np.cos(np.radians(-80)), np.sin(np.radians(-80))
+    elbow = np.array([0.0, 2.0, 0.0])
+    bent = (rest - elbow) @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]]) + elbow
+    expected = (1 - share) * rest + share * bent + [-0.8, 0, 0]
+    points, _ = placed(stage, 24.0, "/World/Arm/Flesh")
+    np.testing.assert_allclose(points, expected, atol=1e-4)
+    # And seen: of the cage no pixel is further to the right than its rightmost point, and one is there.
+    image = dermis.render(stage, time=24.0, resolution=[160, 90], samples=4, aovs=["albedo"])
+    flesh = (
+        np.abs(image["albedo"] / image["albedo"].sum(-1, keepdims=True) * 1.32 - [0.62, 0.4, 0.3]).max(-1)
+        < 0.02
+    )
+    x, distance = expected[expected[:, 0].argmax()][[0, 2]]
+    column = 80 + x / (np.hypot(11.0, 2.6) - distance) * 45 / 36 * 160
+    assert abs(np.argwhere(flesh)[:, 1].max() + 0.5 - column) < 2

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from pxr import Gf, Usd, UsdGeom
 
+import dermis
 from dermis.stage import auto_camera, find_camera
 
 DEFAULTS = {
@@ -227,3 +228,25 @@ def test_damaged_settings(flat):
     assert [prim for prim, _ in result.warnings] == ["/R", "/R", "/R", "/R", "/Gone"]
     missing = flat("", metadata=NAMED)
     assert missing.settings == {} and missing.warnings[0][0] == "/R"
+
+
+def test_our_stage_of_depth_of_field(usd_scenes):
+    """The width of each lamp, by its second moment, is that of its disc convolved with the disc of confusion: in the
+    lamp's plane, at distance z, (f / N) |z - s| / s."""
+    stage = Usd.Stage.Open(str(usd_scenes / "depth_of_field.usda"))
+    for name in ("Floor", "Tile", "Sky"):
+        stage.OverridePrim(f"/World/{name}").SetActive(False)
+    image = dermis.render(stage, resolution=[320, 160], samples=64, aovs=[])
+    assert image.stats["warnings"] == []
+    glow = image.color[..., 0].astype(float)
+    column, row = np.meshgrid(np.arange(320) + 0.5, np.arange(160) + 0.5)
+    for x, z in ((-13, 80), (-9, 100), (0, 120), (11, 160), (26, 220)):
+        pixels = 80 / 36 * 320 / z
+        middle = 160 + x * pixels
+        near = (np.abs(column - middle) < 17) & (np.abs(row - 80) < 17)
+        weight = np.where(near, glow, 0) / glow[near].sum()
+        assert (weight * column).sum() == pytest.approx(middle, abs=0.3)
+        confusion = 4.0 * abs(z - 120) / 120
+        # A disc of diameter d has d^2 / 16, the tent of the film 1 / 6.
+        expected = (confusion**2 + 1.0**2) * pixels**2 / 16 + 1 / 6
+        assert (weight * (row - 80) ** 2).sum() == pytest.approx(expected, rel=0.06), z
