@@ -2,6 +2,7 @@
 //! interior. Found at compile, by boxes: most bodies have no company, and their walks never ask.
 
 use super::accel::{Aabb, Tlas};
+use super::overlap::{Boxes, overlap};
 use super::{Coating, Instance};
 use crate::bsdf::Boundary;
 use crate::light::Lights;
@@ -66,11 +67,11 @@ pub fn companies(
         .map(|instance| *known.entry(instance.surfaces).or_insert_with(|| encloses(instance, surfaces)))
         .collect();
     let mut found: Companies = if enclosed.iter().any(|of| of.open) {
-        let sweep = Sweep::new(boxes);
+        let tree = Boxes::new(boxes);
         let shapes: Vec<Aabb> = lights.shapes().map(|(_, (min, max))| Aabb { min, max }).collect();
         let guests = |i: usize| {
             let of = enclosed[i].open.then_some(enclosed[i])?;
-            guests(i, of, instances, boxes, &sweep, &shapes)
+            guests(i, of, instances, boxes, &tree, &shapes)
         };
         (0..instances.len()).into_par_iter().map(guests).collect()
     } else {
@@ -104,12 +105,12 @@ fn guests(
     of: Encloses,
     instances: &[Instance],
     boxes: &[Aabb],
-    sweep: &Sweep,
+    tree: &Boxes,
     shapes: &[Aabb],
 ) -> Option<Box<Company>> {
     let within = shrunk(&boxes[i]);
-    let others = sweep.overlapping(&within, boxes);
-    let ids: Vec<u32> = others.filter(|&j| j as usize != i && reaches_into(&instances[j as usize], &within)).collect();
+    let mut ids = tree.overlapping(&within);
+    ids.retain(|&j| j as usize != i && reaches_into(&instances[j as usize], &boxes[j as usize], &within));
     // Straight through a matched boundary every light is asked at collisions anyway.
     let lights = ids.iter().any(|&j| instances[j as usize].light.is_some())
         || of.bends && shapes.iter().any(|shape| overlap(shape, &within));
@@ -117,58 +118,35 @@ fn guests(
     (lights || !objects.instances.is_empty()).then(|| Box::new(Company::Guests { objects, lights }))
 }
 
-/// Instances sorted by where their boxes begin along x.
-struct Sweep {
-    order: Vec<u32>,
-    begins: Vec<f32>,
-    /// Of `order`, the furthest end so far.
-    ends: Vec<f32>,
-}
-
-impl Sweep {
-    fn new(boxes: &[Aabb]) -> Self {
-        let mut order: Vec<u32> = (0..boxes.len() as u32).collect();
-        let begin = |i: u32| boxes[i as usize].min.x;
-        order.sort_by(|&a, &b| begin(a).total_cmp(&begin(b)).then(a.cmp(&b)));
-        let mut furthest = f32::NEG_INFINITY;
-        let ends = order.iter().map(|&i| {
-            furthest = furthest.max(boxes[i as usize].max.x);
-            furthest
-        });
-        Self { ends: ends.collect(), begins: order.iter().map(|&i| begin(i)).collect(), order }
-    }
-
-    fn overlapping<'a>(&'a self, with: &'a Aabb, boxes: &'a [Aabb]) -> impl Iterator<Item = u32> + 'a {
-        let first = self.ends.partition_point(|&end| end < with.min.x);
-        let last = self.begins.partition_point(|&begin| begin <= with.max.x);
-        let between = self.order.get(first..last).unwrap_or(&[]);
-        between.iter().copied().filter(move |&i| overlap(&boxes[i as usize], with))
-    }
-}
-
-fn overlap(a: &Aabb, b: &Aabb) -> bool {
-    a.min.cmple(b.max).all() && b.min.cmple(a.max).all()
-}
-
 fn shrunk(of: &Aabb) -> Aabb {
     let by = TOUCHING * of.min.abs().max(of.max.abs());
     Aabb { min: of.min + by, max: of.max - by }
 }
 
-/// Whether a triangle of `instance` may have a point in a box: by its own box and by its plane (two of the three tests of
-/// Akenine-Moeller 2001; the third saves little).
-fn reaches_into(instance: &Instance, within: &Aabb) -> bool {
+/// Whether a triangle of `instance`, whose box is `bounds`, may have a point in a box.
+fn reaches_into(instance: &Instance, bounds: &Aabb, within: &Aabb) -> bool {
+    // What moves is somewhere in its box.
+    if instance.is_moving() || within.min.cmple(bounds.min).all() && bounds.max.cmple(within.max).all() {
+        return true;
+    }
     let (centre, half) = (within.centre(), within.extent() * 0.5);
     let linear = instance.to_render.linear;
     let shift = instance.to_render.translation - centre;
-    // What moves is somewhere in its box.
-    instance.is_moving()
-        || (0..instance.geometry.triangles.len() as u32).any(|triangle| {
-            let [a, b, c] = instance.geometry.corners(triangle, 0.0).map(|p| linear * p + shift);
-            let (min, max) = (a.min(b).min(c), a.max(b).max(c));
-            let n = (b - a).cross(c - a);
-            min.cmple(half).all() && max.cmpge(-half).all() && n.dot(a).abs() <= n.abs().dot(half)
-        })
+    let near = |of: &Aabb| {
+        let (middle, side) = (linear * of.centre() + shift, linear.abs() * (of.extent() * 0.5));
+        // What the map rounds, and more.
+        let slack = TOUCHING * (middle.abs() + side + shift.abs() + half);
+        (middle.abs() - side).cmple(half + slack).all()
+    };
+    instance.geometry.any_triangle(near, |corners| touches(corners.map(|p| linear * p + shift), half))
+}
+
+/// Whether a triangle may have a point in the box of half the sides `half` about the origin: by its own box and by its plane
+/// (two of the three tests of Akenine-Moeller 2001; the third saves little).
+fn touches([a, b, c]: [Vec3; 3], half: Vec3) -> bool {
+    let (min, max) = (a.min(b).min(c), a.max(b).max(c));
+    let n = (b - a).cross(c - a);
+    min.cmple(half).all() && max.cmpge(-half).all() && n.dot(a).abs() <= n.abs().dot(half)
 }
 
 /// The sign of the volume that the winding of a mesh says it has.
@@ -247,5 +225,62 @@ impl super::Moment<'_> {
             (o, skip) = (o + d * (hit.t + step), hit.triangle);
         }
         (winding, first)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::flat::{self, FlatScene};
+    use crate::sampling::sampler::Sampler;
+
+    /// A sheet with many triangles, bent, turned and sheared.
+    fn sheet() -> super::super::Scene {
+        const N: i32 = 24;
+        let point = |i: i32| {
+            let (x, y) = ((i % (N + 1)) as f32 / N as f32 - 0.5, (i / (N + 1)) as f32 / N as f32 - 0.5);
+            [4.0 * x, 4.0 * y, (3.0 * x).sin() + 0.3 * (9.0 * y).cos()]
+        };
+        let corner = |x: i32, y: i32| y * (N + 1) + x;
+        let face = |i: i32| [(0, 0), (1, 0), (1, 1), (0, 1)].map(|(x, y)| corner(i % N + x, i / N + y));
+        let mut transform = flat::IDENTITY;
+        transform[0] = [0.8, 0.5, -0.3, 0.0];
+        transform[1] = [-0.4, 1.1, 0.6, 0.0];
+        transform[3] = [1.0, 2.0, -3.0, 1.0];
+        let mesh = flat::Mesh {
+            points: (0..(N + 1) * (N + 1)).map(point).collect::<Vec<_>>().into(),
+            face_vertex_counts: vec![4; (N * N) as usize].into(),
+            face_vertex_indices: (0..N * N).flat_map(face).collect::<Vec<_>>().into(),
+            transform,
+            ..flat::Mesh::default()
+        };
+        let mut flat = FlatScene::default();
+        flat.settings.camera = "/C".into();
+        flat.cameras.insert("/C".into(), flat::Camera::default());
+        flat.meshes.insert("/Sheet".into(), mesh);
+        super::super::compile(&flat, &mut Default::default(), &mut Vec::new()).expect("a scene").0
+    }
+
+    #[test]
+    fn what_reaches_into_a_box_is_what_asking_every_triangle_finds() {
+        let scene = sheet();
+        let instance = &scene.instances[0];
+        let bounds = super::super::instances::render_bounds(instance);
+        let mut sampler = Sampler::new(3, 0, 0);
+        let mut v = || Vec3::from_array(std::array::from_fn(|_| sampler.random()));
+        let (mut found, n) = (0, 4000);
+        for i in 0..n {
+            let min = bounds.min - 0.5 + v() * (bounds.extent() + 0.5);
+            let within = Aabb { min, max: min + v() * [0.05, 0.4, 2.0, 9.0][i % 4] };
+            let (centre, half) = (within.centre(), within.extent() * 0.5);
+            let shift = instance.to_render.translation - centre;
+            let any = (0..instance.geometry.triangles.len() as u32).any(|triangle| {
+                let corners = instance.geometry.corners(triangle, 0.0).map(|p| instance.to_render.linear * p + shift);
+                touches(corners, half)
+            });
+            assert_eq!(reaches_into(instance, &bounds, &within), any, "{within:?}");
+            found += u32::from(any);
+        }
+        assert!((n as u32 / 10..n as u32 * 9 / 10).contains(&found), "{found}");
     }
 }

@@ -363,6 +363,12 @@ impl Geometry {
         used
     }
 
+    /// Whether a triangle of a mesh that does not deform is `wanted`, by its corners; those in boxes that are not `near` are
+    /// not asked.
+    pub fn any_triangle(&self, near: impl Fn(&Aabb) -> bool, wanted: impl Fn([Vec3; 3]) -> bool) -> bool {
+        self.blas.any_triangle(near, wanted)
+    }
+
     /// Bytes, attributes and BVH included.
     pub fn memory(&self) -> usize {
         let attributes = [&self.normals, &self.display_color].into_iter().flatten().map(Attribute::memory);

@@ -17,6 +17,7 @@ mod motion;
 mod needs;
 mod nesting;
 mod network;
+mod overlap;
 mod page_out;
 mod paged;
 mod pyramid;

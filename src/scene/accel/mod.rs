@@ -18,6 +18,7 @@ mod cut;
 mod guide;
 mod lanes;
 mod moving;
+mod near;
 mod nearest;
 mod node;
 mod pages;
