@@ -55,7 +55,7 @@ pub fn probe(
 
     // From lights.
     let lights = scene.lights.len();
-    let mut draws = scene.lights().draws(si.p, Some(n), Choice::ONE);
+    let mut draws = scene.lights_for(si.instance).draws(si.p, Some(n), Choice::ONE);
     for i in 0..lights.min(LIGHTS) {
         let u = Vec2::new(sampler.random(), sampler.random());
         let sample = if lights <= LIGHTS {

@@ -101,12 +101,24 @@ impl<'a> LightsAt<'a> {
         (f64::from(count) * probability) as f32
     }
 
-    fn receiver<'b>(self, p: Vec3, n: Option<Vec3>, shares: &'b [f32]) -> Receiver<'b, impl Fn(u32) -> f64 + use<'a>> {
+    fn receiver<'b>(
+        self,
+        p: Vec3,
+        n: Option<Vec3>,
+        shares: &'b [f32],
+    ) -> Receiver<'b, impl Fn(u32) -> f64 + use<'a, 'b>>
+    where
+        'a: 'b,
+    {
         let shares = shares.get(self.beside.len()..).unwrap_or(&[]);
-        Receiver { p, n, shares, weight: move |light| self.weight(light, p, n) }
+        let lanes = self.allowed().map(|linked| &linked.lanes[..]);
+        Receiver { p, n, shares, lanes, weight: move |light| self.weight(light, p, n) }
     }
 
     fn weight(&self, light: u32, p: Vec3, n: Option<Vec3>) -> f64 {
+        if self.allowed().is_some_and(|linked| !linked.has(light)) {
+            return 0.0;
+        }
         // An overflowing estimate still takes part, as the largest number.
         let (light, _, p, n) = self.seen(light, p, n);
         f64::from(light.importance(p, n).min(f32::MAX))

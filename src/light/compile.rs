@@ -97,8 +97,8 @@ impl Compiler<'_> {
         let keys = prim.transform_keys.as_ref()?;
         let place = |matrix: &flat::Matrix4d| Affine::from_usd(matrix, DVec3::ZERO, self.origin);
         let places: Vec<Affine> = keys.transforms.iter().map(|matrices| place(&matrices[0])).collect::<Option<_>>()?;
-        let (motion, stretched) = Motion::new(&keys.times, &places, &place(&prim.transform)?)?;
-        if stretched {
+        let motion = Motion::new(&keys.times, &places, &place(&prim.transform)?)?;
+        if motion.is_stretched() {
             let message =
                 "xformOps: its size changes while the shutter is open; it moves and turns with that of the frame";
             self.warn(message.into());
@@ -117,7 +117,7 @@ impl Compiler<'_> {
                     return Err(format!("inputs:angle is {angle}, not a positive number or zero"));
                 }
                 let emission =
-                    Emission::new(prim, axis, distant::size_factor(*angle))?.profiled(prim, placement.inverse);
+                    Emission::new(prim, axis, distant::size_factor(*angle))?.profiled(prim, placement.inverse)?;
                 Ok(Light::Distant(Distant::new(emission, *angle)))
             }
             LightShape::Dome { texture, pole_axis } => {
@@ -142,7 +142,7 @@ impl Compiler<'_> {
                 }
                 Ok(Light::Area(AreaLight::new(
                     shape,
-                    Emission::new(prim, axis, area)?.profiled(prim, placement.inverse),
+                    Emission::new(prim, axis, area)?.profiled(prim, placement.inverse)?,
                     texels,
                 )))
             }

@@ -47,10 +47,19 @@ impl Emission {
         Self { shaping: None, profile: None, ..self }
     }
 
-    /// With the IES profile of `light`, if it has one; `to_light`: from render space to its own.
-    pub fn profiled(self, light: &flat::Light, to_light: Mat3) -> Self {
-        let ies = light.shaping.as_ref().and_then(|shaping| shaping.ies.as_ref());
-        Self { profile: ies.map(|ies| Box::new(Profile::new(ies, to_light))), ..self }
+    /// With the IES profile of `light`, if it has one; `to_light`: from render space to its own. `Err` says what is at
+    /// fault.
+    pub fn profiled(self, light: &flat::Light, to_light: Mat3) -> Result<Self, String> {
+        let Some(ies) = light.shaping.as_ref().and_then(|shaping| shaping.ies.as_ref()) else { return Ok(self) };
+        let profile = Profile::new(ies, to_light);
+        let (brightest, largest) = (f64::from(self.radiance.abs().max_element()), f64::from(profile.largest()));
+        if brightest * largest > RADIANCE_LIMIT || !largest.is_finite() {
+            return Err(format!(
+                "inputs:shaping:ies:file: with its largest factor, {largest:e}, inputs:intensity and inputs:exposure give a \
+                 radiance beyond 1e30: lower them, or set inputs:shaping:ies:normalize"
+            ));
+        }
+        Ok(Self { profile: Some(Box::new(profile)), ..self })
     }
 
     pub fn scaled(self, factor: f32) -> Self {

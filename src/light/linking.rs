@@ -20,6 +20,20 @@ impl Members {
     }
 }
 
+/// The lights that are for the things of one set of categories.
+#[derive(Debug, Clone)]
+pub struct Linked {
+    lights: Vec<bool>,
+    /// By node of the tree, as bits: children with such a light.
+    pub lanes: Vec<u8>,
+}
+
+impl Linked {
+    pub fn has(&self, light: u32) -> bool {
+        self.lights[light as usize]
+    }
+}
+
 /// Categories that lights name while a scene is compiled.
 #[derive(Debug, Default)]
 pub struct Categories {
@@ -74,9 +88,19 @@ impl Lights {
         if self.links.iter().all(Option::is_none) {
             self.links.clear();
         }
+        let members = categories.members();
+        let sets = if self.links.is_empty() { 0 } else { members.sets.len() as u32 };
+        self.linked_to = (0..sets).map(|set| self.those_for(set, &members)).collect();
         if self.shadows.iter().all(Option::is_none) {
             self.shadows.clear();
         }
+    }
+
+    fn those_for(&self, set: u32, members: &Members) -> Linked {
+        let is_for = |category: &Option<u32>| category.is_none_or(|category| members.has(set, category));
+        let lights: Vec<bool> = self.links.iter().map(is_for).collect();
+        let lanes = self.tree.as_ref().map_or(Vec::new(), |tree| tree.lanes_with(|light| lights[light as usize]));
+        Linked { lights, lanes }
     }
 
     /// Category of what a light lights; `None`: everything.
@@ -87,6 +111,11 @@ impl Lights {
     /// Lights that do not light everything.
     pub fn linked(&self) -> usize {
         self.links.iter().flatten().count()
+    }
+
+    /// Whether some light does not light everything.
+    pub fn has_links(&self) -> bool {
+        !self.links.is_empty()
     }
 
     /// How the shadows of a light differ from those of everything.

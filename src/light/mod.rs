@@ -123,6 +123,8 @@ pub struct Lights {
     meshes: BTreeMap<String, u32>,
     /// Category of what each lights; `None`: everything. Empty where all light everything.
     links: Vec<Option<u32>>,
+    /// By set of categories, the lights that are for its things. Empty as `links` is.
+    linked_to: Vec<linking::Linked>,
     /// Of each that casts other shadows than those of everything. Empty where none does.
     shadows: Vec<Option<Shadow>>,
     groups: groups::Groups,
@@ -146,12 +148,12 @@ impl Lights {
         self.camera_visible[light as usize]
     }
 
-    /// Whether surfaces of the scene are the light's.
     /// Whether each is a dome or a distant light.
     pub fn are_infinite(&self) -> bool {
         self.lights.iter().all(|light| matches!(light, Light::Dome(_) | Light::Distant(_)))
     }
 
+    /// Whether surfaces of the scene are the light's.
     pub fn is_mesh(&self, light: u32) -> bool {
         matches!(self.lights[light as usize], Light::Area(AreaLight { shape: Shape::Mesh(_), .. }))
     }

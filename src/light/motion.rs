@@ -3,7 +3,7 @@
 //! A light is turned about its own origin and shifted, nothing else, so that distances, solid angles and densities are
 //! those of the light of the frame. Between keys the origin goes straight, and the turn is the shortest at constant speed.
 
-use super::{Light, Lights, bound::Bound};
+use super::{Light, Lights, bound::Bound, linking::Linked};
 use crate::math::{Affine, PI};
 use crate::scene::Keys;
 use glam::{DMat3, DQuat, Mat3, Quat, Vec3};
@@ -26,12 +26,13 @@ pub struct Motion {
     /// What it turns about: its place at the frame, render space.
     origin: Vec3,
     turns: bool,
+    /// Its size changes, too, which it does not follow.
+    stretched: bool,
 }
 
 impl Motion {
-    /// From its places by time and the one at the frame; `None` where it stays. The flag says whether more than turns and
-    /// shifts was there.
-    pub fn new(times: &[f32], places: &[Affine], frame: &Affine) -> Option<(Self, bool)> {
+    /// From its places by time and the one at the frame; `None` where it stays.
+    pub fn new(times: &[f32], places: &[Affine], frame: &Affine) -> Option<Self> {
         let mut stretched = false;
         let mut last = Quat::IDENTITY;
         let keys = places.iter().map(|place| {
@@ -46,7 +47,11 @@ impl Motion {
         let keys: Vec<Key> = keys.collect();
         let moves = keys.windows(2).any(|pair| pair[0] != pair[1]);
         let turns = keys.iter().any(|key| key.turn != Quat::IDENTITY);
-        moves.then(|| (Self { keys: Keys::new(times.to_vec(), keys), origin: frame.translation, turns }, stretched))
+        moves.then(|| Self { keys: Keys::new(times.to_vec(), keys), origin: frame.translation, turns, stretched })
+    }
+
+    pub fn is_stretched(&self) -> bool {
+        self.stretched
     }
 
     pub fn at(&self, time: f32) -> Pose {
@@ -113,6 +118,15 @@ impl Pose {
         self.turn.as_ref().map_or(v, |turn| turn.transpose() * v)
     }
 
+    /// Where something of the frame is that goes with the light.
+    fn placed(&self, at: &Affine) -> Affine {
+        let translation = self.point(at.translation);
+        match &self.turn {
+            None => Affine { translation, ..*at },
+            Some(turn) => Affine { linear: *turn * at.linear, inverse: at.inverse * turn.transpose(), translation },
+        }
+    }
+
     pub fn point(&self, p: Vec3) -> Vec3 {
         match &self.turn {
             None => p + self.shift,
@@ -125,12 +139,17 @@ impl Pose {
     }
 }
 
-/// All lights at a time of the shutter.
+/// All lights at a time of the shutter, or those of them that are for one receiver.
 #[derive(Debug, Clone, Copy)]
 pub struct LightsAt<'a> {
     pub(super) all: &'a Lights,
     time: f32,
+    /// The set of categories that the receiver is in. With a number the whole is two registers.
+    set: u32,
 }
+
+/// No set: all lights.
+const EVERYTHING: u32 = u32::MAX;
 
 impl Deref for LightsAt<'_> {
     type Target = Lights;
@@ -140,6 +159,17 @@ impl Deref for LightsAt<'_> {
 }
 
 impl<'a> LightsAt<'a> {
+    /// Those that are for the things of a set of categories: no other one is drawn.
+    pub fn linked_to(self, set: u32) -> Self {
+        Self { set, ..self }
+    }
+
+    /// The lights that may be drawn; `None`: all.
+    #[inline]
+    pub(super) fn allowed(&self) -> Option<&'a Linked> {
+        self.all.linked_to.get(self.set as usize)
+    }
+
     /// A light of the frame, and where it is now; `None`: there.
     #[inline]
     pub(super) fn light(&self, light: u32) -> (&'a Light, Option<Pose>) {
@@ -172,7 +202,7 @@ pub(super) fn to_time(pose: Option<&Pose>, v: Vec3) -> Vec3 {
 impl Lights {
     /// What a path of that time of the shutter sees.
     pub fn at(&self, time: f32) -> LightsAt<'_> {
-        LightsAt { all: self, time }
+        LightsAt { all: self, time, set: EVERYTHING }
     }
 
     pub fn is_moving(&self) -> bool {
@@ -182,6 +212,15 @@ impl Lights {
     /// How many move.
     pub fn moving(&self) -> usize {
         self.motions.iter().flatten().count()
+    }
+
+    /// Placements of a mesh that is a light whose size changes, from that of the frame: it keeps its size as the light does,
+    /// or it would be in the way of its own light. `None`: its own are those of the light.
+    pub fn kept_size(&self, light: u32, frame: &Affine) -> Option<Keys<Affine>> {
+        let motion = self.motions.get(light as usize)?.as_ref().filter(|motion| motion.stretched)?;
+        let times = motion.keys.times().to_vec();
+        let places = times.iter().map(|&time| motion.at(time).placed(frame)).collect();
+        Some(Keys::new(times, places))
     }
 
     pub fn moves(&self, light: u32) -> bool {

@@ -70,6 +70,8 @@ pub struct Receiver<'a, F> {
     pub n: Option<Vec3>,
     /// Visible, of the tree's parts; of all others 1.
     pub shares: &'a [f32],
+    /// By node, as bits: children with a light that is for it; `None`: all are.
+    pub lanes: Option<&'a [u8]>,
     /// Of a light by itself.
     pub weight: F,
 }
@@ -152,8 +154,29 @@ impl Tree {
         if let Some(shares) = at.shares.get(first..first + LANES) {
             (0..LANES).for_each(|lane| weights[lane] *= shares[lane]);
         }
+        if let Some(lanes) = at.lanes {
+            let linked = lanes[node as usize];
+            (0..LANES).filter(|lane| linked >> lane & 1 == 0).for_each(|lane| weights[lane] = 0.0);
+        }
         let sum = weights.iter().map(|weight| f64::from(*weight)).sum();
         Passed { node, weights, sum }
+    }
+
+    /// By node, as bits: children that are or hold a light which is `wanted`.
+    pub fn lanes_with(&self, wanted: impl Fn(u32) -> bool) -> Vec<u8> {
+        let mut lanes = vec![0; self.nodes.len()];
+        // Children come after their parents.
+        for (i, node) in self.nodes.iter().enumerate().rev() {
+            for (lane, child) in node.children.iter().enumerate() {
+                let has = match *child {
+                    Child::Node(child) => lanes[child as usize] != 0,
+                    Child::Light(light) => wanted(light),
+                    Child::None => false,
+                };
+                lanes[i] |= u8::from(has) << lane;
+            }
+        }
+        lanes
     }
 
     /// Adds the root and the children of the first nodes to `parts`, which may hold other lights already.

@@ -35,6 +35,11 @@ pub(super) fn compile_lights(
             warnings.push(Warning::new(paths[instance.prim_id as usize], message));
             instance.moves = None;
         }
+        if instance.moves.is_some() {
+            if let Some(kept) = lights.kept_size(light, &instance.to_render) {
+                instance.moves = Some(Box::new(kept));
+            }
+        }
         *first += instance.geometry.triangles.len() as u32;
     }
     lights

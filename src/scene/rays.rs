@@ -28,6 +28,14 @@ impl<'a> Moment<'a> {
         self.scene.lights.at(self.time)
     }
 
+    /// Those that are for the things of `receiver`; a camera, [`NOBODY`], sees all.
+    pub fn lights_for(&self, receiver: u32) -> LightsAt<'a> {
+        if receiver == NOBODY || !self.scene.lights.has_links() {
+            return self.lights();
+        }
+        self.lights().linked_to(self.scene.instances[receiver as usize].categories)
+    }
+
     /// Where an instance is.
     #[inline]
     pub fn placed(&self, instance: u32) -> Placed<'a> {

@@ -728,3 +728,33 @@ def test_a_dermis_file_keeps_the_motion(tmp_path: Path) -> None:
     delegate.save(str(tmp_path / "moving.dermis"))
     stored = dermis.render(tmp_path / "moving.dermis", samples=16, aovs=["alpha"])
     np.testing.assert_array_equal(stored["alpha"], render(camera() + MOVING, samples=16)["alpha"])
+
+
+def test_a_mesh_light_whose_size_changes_does_not_shade_itself() -> None:
+    """It shines, and stands, with the size of the frame: as one that stays."""
+
+    def box(scale: str) -> str:
+        sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+        points = [(x, y, z) for z in (-0.3, 0.3) for y in (-0.3, 0.3) for x in (-0.3, 0.3)]
+        return f"""
+def Mesh "Lamp" (prepend apiSchemas = ["MeshLightAPI"])
+{{
+    int[] faceVertexCounts = {[4] * 6}
+    int[] faceVertexIndices = {[i for side in sides for i in side[::-1]]}
+    point3f[] points = {points}
+    uniform token subdivisionScheme = "none"
+    float inputs:intensity = 4
+    double3 xformOp:translate.timeSamples = {{ 0: (-1, 0, 1.5), 2: (1, 0, 1.5) }}
+    double3 xformOp:scale{scale}
+    uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:scale"]
+}}
+"""
+
+    grows, stays = (
+        render(camera() + FLOOR + box(scale), samples=1024, maxDepth=0).color[..., 0]
+        for scale in (".timeSamples = { 0: (0.2, 0.2, 0.2), 2: (1.8, 1.8, 1.8) }", " = (1, 1, 1)")
+    )
+    floor = np.abs((np.arange(WIDTH) + 0.5 - WIDTH / 2) / UNIT) > 1.6
+    assert stays[:, floor].mean() > 0.01
+    np.testing.assert_allclose(grows[:, floor].mean(), stays[:, floor].mean(), rtol=5e-3)
+    np.testing.assert_allclose(grows, stays, rtol=0.1, atol=0.01)

@@ -49,6 +49,33 @@ fn brightness_that_is_no_number() {
     assert!(dropped(flat::Light { exposure: 1e4, ..Default::default() }).contains("inputs:exposure"));
 }
 
+/// Each is in range; their product is not, and would be no number in the weights of a choice among lights.
+#[test]
+fn profiles_that_are_too_bright() {
+    let profile = |candela: f32, normalize| flat::Ies {
+        vertical: vec![0.0, 90.0].into(),
+        horizontal: vec![0.0].into(),
+        candela: vec![candela, candela].into(),
+        normalize,
+        ..Default::default()
+    };
+    let lamp = |candela, normalize, intensity| {
+        let shaping = flat::Shaping { ies: Some(profile(candela, normalize)), cone_angle: 90.0, ..Default::default() };
+        flat::Light { intensity, shaping: Some(shaping), ..light(LightShape::Sphere { radius: 0.5 }, IDENTITY) }
+    };
+    let message = dropped(lamp(1e38, false, 10.0));
+    assert!(message.contains("shaping:ies") && message.contains("1e30"), "{message}");
+    assert!(dropped(lamp(f32::MAX, false, 1e-3)).contains("shaping:ies"));
+    let sound = [lamp(1e38, true, 10.0), lamp(1e38, false, 1e-10), lamp(1e3, false, 1e20)];
+    for rig in [sound.to_vec(), sound.iter().cycle().take(40).cloned().collect()] {
+        let lights = compile(&rig);
+        let sum: f32 = (0..lights.len() as u32)
+            .map(|i| lights.at(0.0).choice_probability(i, Vec3::NEG_Z * 3.0, None, Choice::ONE))
+            .sum();
+        assert!((sum - 1.0).abs() < 1e-4, "{sum}");
+    }
+}
+
 #[test]
 fn meshes_without_area() {
     let mut warnings = Vec::new();

@@ -12,7 +12,7 @@ fn turned(random: &mut Random, size: f32, t: Vec3) -> Matrix4d {
 }
 
 /// Lights of every shape in a box, with the given sizes (powers of ten); a third are spots.
-fn crowd(count: usize, sizes: [f32; 2], seed: u32) -> Vec<flat::Light> {
+pub fn crowd(count: usize, sizes: [f32; 2], seed: u32) -> Vec<flat::Light> {
     let mut random = Random::new(seed);
     let one = |i: usize| {
         let size = 10.0_f32.powf(sizes[0] + (sizes[1] - sizes[0]) * random.next());

@@ -4,6 +4,7 @@ mod choice;
 mod directions;
 mod dropped;
 mod infinite;
+mod linking;
 mod many;
 mod motion;
 mod portals;
