@@ -31,14 +31,12 @@ pub(super) struct CollisionLight<'a> {
     pub instance: u32,
     /// Of objects around the path: those around the collision where the boundary is matched, around the object where it
     /// is not.
-    pub around: Nest,
+    pub around: &'a Nest,
     /// Path throughput per unit of the walk's weight.
     pub scale: f32,
     pub bucket: Bucket,
     /// The boundary that bends the light; `None`: matched.
     pub bent: Option<Bent<'a>>,
-    /// By a walk that does not look for lights with shadow rules itself.
-    pub wades: bool,
 }
 
 impl CollisionLight<'_> {
@@ -66,20 +64,19 @@ impl CollisionLight<'_> {
     ) -> u64 {
         let u = Vec2::new(sampler.random(), sampler.random());
         let p = enclosure.to_render(collision.p);
-        let light = self.scene.lights().sample(p, None, Choice::ONE, sampler.random(), u);
-        let Some(light) = light.filter(|light| light.radiance != Rgb::ZERO && self.is_lit_by(light.light)) else {
-            return 0;
-        };
+        let light = self.scene.lights_for(self.instance).sample(p, None, Choice::ONE, sampler.random(), u);
+        let Some(light) = light.filter(|light| light.radiance != Rgb::ZERO) else { return 0 };
         let (phase, pdf) = (collision.scatter)(light.wi);
         if phase <= 0.0 {
             return 0;
         }
         let hit = enclosure.cast(collision.p, light.wi, light.reach(), None);
         let hit = hit.map(|(t, hit)| SurfaceHit { t, ..enclosure.surface_hit(&hit) });
-        let visible = visibility_beyond(self.scene, light.light, p, hit, light.wi, light.reach(), &self.around);
+        let visible = visibility_beyond(self.scene, light.light, p, hit, light.wi, light.reach(), self.around);
         // Walks meet no light shapes before the next surface: those within the medium are ours alone.
         let within = hit.is_none() && light.distance.is_finite() && !self.scene.lights.is_mesh(light.light);
-        let ours = light.delta || within || self.wades && self.scene.lights.shadow(light.light).is_some();
+        // Nor do they look for lights with shadow rules.
+        let ours = light.delta || within || self.scene.lights.shadow(light.light).is_some();
         let weight = if ours { 1.0 } else { power_heuristic(light.pdf, pdf) };
         self.give(into, light.light, collision.weight * visible * light.radiance * (phase * weight / light.pdf));
         1
@@ -98,10 +95,9 @@ impl CollisionLight<'_> {
             return 0;
         }
         let u = Vec2::new(sampler.random(), sampler.random());
-        let emitter = self.scene.lights().sample_emitter(enclosure.to_render(collision.p), sampler.random(), u);
-        let Some(emitter) = emitter.filter(|light| Bent::is_small(light) && self.is_lit_by(light.light)) else {
-            return 0;
-        };
+        let lights = self.scene.lights_for(self.instance);
+        let emitter = lights.sample_emitter(enclosure.to_render(collision.p), sampler.random(), u);
+        let Some(emitter) = emitter.filter(Bent::is_small) else { return 0 };
         let ways = bent.connect(collision.p, &emitter, |survival| sampler.random() < survival);
         let mut shadow_rays = 0;
         for (at, density) in ways.into_iter().flatten() {
@@ -110,15 +106,11 @@ impl CollisionLight<'_> {
                 shadow_rays += 1;
                 let o = bent.window.interaction(&at).origin(at.v);
                 let origin = Some((self.instance, at.hit.triangle));
-                let visible = visibility(self.scene, emitter.light, o, at.v, at.reach(), origin, &self.around);
+                let visible = visibility(self.scene, emitter.light, o, at.v, at.reach(), origin, self.around);
                 self.give(into, emitter.light, value * visible);
             }
         }
         shadow_rays
-    }
-
-    fn is_lit_by(&self, light: u32) -> bool {
-        self.scene.illuminates(light, self.instance)
     }
 
     fn give(&self, into: &mut Into, source: u32, light: Rgb) {

@@ -1,5 +1,6 @@
 //! Light: what a segment meets, and next-event estimation towards what it might have met.
 
+use super::nest::Nest;
 use super::shadow::visibility;
 use super::{Path, Previous};
 use crate::bsdf::{Bsdf, Side};
@@ -59,7 +60,7 @@ impl Path<'_> {
             self.add(GLOW, glow);
             return;
         };
-        if glow != Rgb::ZERO && matches!(self.previous, Previous::Camera | Previous::Delta) {
+        if glow != Rgb::ZERO && self.looks {
             // Who looks at a mesh light sees its material glow (light:materialSyncMode); the light is for the others.
             self.add(GLOW, glow);
             return;
@@ -80,7 +81,7 @@ impl Path<'_> {
 
     /// MIS weight of an area light met at `hit` along (o, d).
     pub(super) fn weight_of_hit(&self, light: u32, o: Vec3, d: Vec3, hit: &ShapeHit) -> Rgb {
-        let lights = self.scene.lights();
+        let lights = self.scene.lights_for(self.receiver);
         self.light_weight(
             |p, n, choice| lights.pdf_hit(light, p, n, choice, d, &seen_from(p, o, d, hit)),
             |x| lights.emitter_at(light, x, o + d * hit.t, hit),
@@ -90,7 +91,7 @@ impl Path<'_> {
 
     /// MIS weight of an infinite light met along `d`.
     pub(super) fn weight_of_escaped(&self, light: u32, d: Vec3) -> Rgb {
-        let lights = self.scene.lights();
+        let lights = self.scene.lights_for(self.receiver);
         self.light_weight(
             |p, n, choice| lights.pdf_escaped(light, p, n, choice, d),
             |x| lights.emitter_towards(light, x, d),
@@ -148,9 +149,25 @@ impl Path<'_> {
         if bsdf.is_delta_only() {
             sampler.skip_1d();
             sampler.skip_2d();
-            return;
+        } else if matches!(si.side, Side::Inside) && self.inside.contains(si.instance) {
+            let beyond = self.inside.left(si.instance);
+            self.next_event_amid(si, bsdf, lights, guide, Some(&beyond), sampler);
+        } else {
+            self.next_event_amid(si, bsdf, lights, guide, None, sampler);
         }
-        let (all, choice) = (self.scene.lights(), self.guide.choice(lights));
+    }
+
+    /// The same, `beyond`: the bodies on the far side of the surface, where they are others than those around the path.
+    fn next_event_amid(
+        &mut self,
+        si: &Interaction,
+        bsdf: &Bsdf,
+        lights: LightsAt,
+        guide: Option<&Exit>,
+        beyond: Option<&Nest>,
+        sampler: &mut Sampler,
+    ) {
+        let (all, choice) = (self.scene.lights_for(si.instance), self.guide.choice(lights));
         let (count, n) = (choice.count(), si.horizon());
         // A sample's points on a light are a lattice (Roberts' R2), shifted by its stratified first.
         let lattice = |first: Vec2, i: u32| (first + i as f32 * R2).fract();
@@ -160,7 +177,7 @@ impl Path<'_> {
             for i in 0..count {
                 // Strata of the choice: neighbours in the tree are neighbours in space.
                 let u_choice = (u_choice + i as f32) / count as f32;
-                self.add_light(si, bsdf, guide, draws.sample(u_choice, lattice(u, i)));
+                self.add_light(si, bsdf, guide, beyond, draws.sample(u_choice, lattice(u, i)));
             }
             return;
         }
@@ -177,12 +194,19 @@ impl Path<'_> {
             for i in 0..count {
                 let sample = all.sample_light(light, si.p, n, lattice(first, i));
                 let counted = sample.map(|sample| LightSample { pdf: sample.pdf * count as f32, ..sample });
-                self.add_light(si, bsdf, guide, counted);
+                self.add_light(si, bsdf, guide, beyond, counted);
             }
         }
     }
 
-    fn add_light(&mut self, si: &Interaction, bsdf: &Bsdf, guide: Option<&Exit>, light: Option<LightSample>) {
+    fn add_light(
+        &mut self,
+        si: &Interaction,
+        bsdf: &Bsdf,
+        guide: Option<&Exit>,
+        beyond: Option<&Nest>,
+        light: Option<LightSample>,
+    ) {
         let Some(light) = light.filter(|light| light.pdf > 0.0 && light.pdf.is_finite()) else { return };
         let wi = si.local(light.wi);
         let f = bsdf.eval(wi);
@@ -191,17 +215,8 @@ impl Path<'_> {
         if f == Rgb::ZERO || light.radiance == Rgb::ZERO || hidden {
             return;
         }
-        if !self.scene.illuminates(light.light, si.instance) {
-            return;
-        }
-        let beyond;
-        let inside = if matches!(si.side, Side::Inside) {
-            beyond = self.inside.left(si.instance);
-            &beyond
-        } else {
-            &self.inside
-        };
         self.stats.shadow_rays += 1;
+        let inside = beyond.unwrap_or(&self.inside);
         let origin = Some((si.instance, si.triangle));
         let (o, reach) = (si.origin(light.wi), light.reach());
         let visible = visibility(self.scene, light.light, o, light.wi, reach, origin, inside);

@@ -3,7 +3,7 @@
 use super::collision::{Bent, CollisionLight, Into, Refracted};
 use super::nest::Nest;
 use super::watch::drawn;
-use super::{Bucket, Path, Previous};
+use super::{Path, Previous};
 use crate::bsdf::{Boundary, Bsdf, Event, Side, Surface};
 use crate::guiding::exit::Exit;
 use crate::guiding::look::shares_by_kind;
@@ -27,7 +27,6 @@ pub(super) struct Passage<'a> {
     pub instance: u32,
     /// Of the entry.
     pub surface: u32,
-    pub boundary: Boundary,
     /// The boundary, where light is sampled through it.
     pub bent: Option<Bent<'a>>,
     pub plan: &'a Plan,
@@ -58,28 +57,35 @@ impl<'a> Path<'a> {
             here = plan.medium_at(interior.medium);
             &here
         };
-        if self.depth == 0 {
-            self.bucket = Bucket::Subsurface;
+        if boundary == Boundary::Diffuse {
+            // By itself it scatters what passes it.
+            self.bucket = self.bucket_of_media();
         }
         let enclosure = InstanceEnclosure::new(scene, si.instance);
         let beside = self.inside.index_beside(si.instance);
         // The search knows the boundary in air.
         let bent = if plan.bends && beside == 1.0 { Bent::new(scene, si.instance, si.surface) } else { None };
         let (instance, surface, first) = (si.instance, si.surface, self.depth == 0);
-        let mut passage = Passage { enclosure, instance, surface, boundary, bent, plan, medium, first };
-        let within = self.crossed(si, coating)?;
+        let mut passage = Passage { enclosure, instance, surface, bent, plan, medium, first };
+        let around = match boundary {
+            Boundary::IndexMatched => Some(self.crossed(si, coating)?),
+            Boundary::Dielectric if passage.bent.is_some() => Some(self.inside),
+            _ => None,
+        };
         let entry = BoundaryHit::of(hit);
         let p = passage.enclosure.point(&entry);
-        if boundary == Boundary::IndexMatched && scene.has_light_shapes() {
-            self.meet_lights_within(&passage.enclosure, p, wi, entry, &within);
+        if let (Some(within), Boundary::IndexMatched, true) = (&around, boundary, scene.has_light_shapes()) {
+            self.meet_lights_within(&passage.enclosure, p, wi, entry, within);
         }
         let mut start = Start { p, d: wi, normal: si.ng, hit: entry, weight: Rgb::ONE };
         loop {
-            let light = self.light_at_collisions(&passage, &within);
+            let light = self.light_at_collisions(&passage, around.as_ref());
             let (at, d, scattered) = self.sub_walk(&passage, start, light, sampler)?;
-            if let (Some((p, pdf)), Boundary::IndexMatched) = (scattered, boundary) {
-                self.collided(instance, passage.enclosure.to_render(p), pdf);
-                self.drawn = true;
+            if let Some((p, pdf)) = scattered {
+                self.be_scattered();
+                if boundary == Boundary::IndexMatched {
+                    self.collided(instance, passage.enclosure.to_render(p), pdf);
+                }
             }
             passage.first = false;
             let mut exit = scene.interaction(&passage.enclosure.surface_hit(&at), d, Side::Inside);
@@ -118,28 +124,26 @@ impl<'a> Path<'a> {
         within: &Nest,
     ) {
         let t_max = enclosure.cast(p, d, f32::INFINITY, Some(entry)).map_or(f32::INFINITY, |(t, _)| t);
+        let before = self.sample.direct;
         self.meet_light_shapes_along(enclosure.to_render(p), d, t_max, within.medium());
+        self.note_straight(before);
     }
 
-    /// What MIS needs of a direction that a collision at `p` (render space) in `instance` drew, where it sampled light too.
+    /// What MIS needs of a direction that a collision at `p` (render space) in `instance` drew, where it sampled light too:
+    /// all of those with shadow rules, whose distances are from the collision.
     pub(super) fn collided(&mut self, instance: u32, p: Vec3, pdf: f32) {
         let lights = crate::guiding::LightsAt::One;
         self.previous = Previous::Sampled { p, n: None, pdf, lights };
         self.receiver = instance;
     }
 
-    /// Light reaches collisions straight only where the boundary does not bend it. `within`: the bodies around them.
-    fn light_at_collisions<'b>(&self, passage: &Passage<'b>, within: &Nest) -> Option<CollisionLight<'b>>
+    /// Light reaches collisions straight only where the boundary does not bend it. `around`: of bodies, where it does.
+    fn light_at_collisions<'b>(&self, passage: &Passage<'b>, around: Option<&'b Nest>) -> Option<CollisionLight<'b>>
     where
         'a: 'b,
     {
-        let around = match passage.boundary {
-            Boundary::IndexMatched => *within,
-            Boundary::Dielectric if passage.bent.is_some() => self.inside,
-            _ => return None,
-        };
-        let (scene, instance, bucket, bent) = (self.scene, passage.instance, self.bucket, passage.bent);
-        Some(CollisionLight { scene, instance, around, scale: 1.0, bucket, bent, wades: false })
+        let (scene, instance, bent) = (self.scene, passage.instance, passage.bent);
+        Some(CollisionLight { scene, instance, around: around?, scale: 1.0, bucket: self.bucket_of_media(), bent })
     }
 
     /// What MIS needs where the segment out of a bent boundary at `p` (walk space) meets a light.
@@ -260,7 +264,8 @@ impl<'a> Path<'a> {
             } else {
                 let u = Vec2::new(sampler.random(), sampler.random());
                 let choice = crate::light::Choice::ONE;
-                scene.lights().sample(enclosure.to_render(p), None, choice, sampler.random(), u).map(|light| light.wi)
+                let lights = scene.lights_for(passage.instance);
+                lights.sample(enclosure.to_render(p), None, choice, sampler.random(), u).map(|light| light.wi)
             };
             followed
         };

@@ -130,6 +130,8 @@ struct Path<'a> {
     crossings: u32,
     bucket: Bucket,
     previous: Previous,
+    /// Nothing but mirrors since the camera: what it meets, the camera sees.
+    looks: bool,
     /// Share of the pixel that nothing has held up yet, over the probability of having come here; 0 once something has.
     seen: f32,
     inside: Nest,
@@ -198,6 +200,7 @@ impl<'a> Path<'a> {
             crossings: 0,
             bucket: Bucket::Direct,
             previous: Previous::Camera,
+            looks: true,
             seen: 1.0,
             inside: Nest::OUTSIDE,
             cone: Cone::WIDE,
@@ -366,10 +369,26 @@ impl Path<'_> {
             if delta { Previous::Delta } else { Previous::Sampled { p: si.p, n: si.horizon(), pdf, lights } };
         (self.receiver, self.drawn) = (si.instance, true);
         if !delta {
+            self.looks = false;
             self.cone.scattered(pdf);
         }
         self.continue_from(si, wi);
         Some(())
+    }
+
+    /// A medium has scattered the path.
+    fn be_scattered(&mut self) {
+        self.bucket = self.bucket_of_media();
+        self.looks = false;
+    }
+
+    /// AOV of what media scatter into the path.
+    fn bucket_of_media(&self) -> Bucket {
+        match self.bucket {
+            _ if self.depth == 0 => Bucket::Subsurface,
+            Bucket::Direct => Bucket::Indirect,
+            other => other,
+        }
     }
 
     fn continue_from(&mut self, si: &Interaction, wi: Vec3) {

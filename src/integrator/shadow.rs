@@ -25,7 +25,7 @@ pub(super) fn visibility(
 ) -> Rgb {
     match scene.lights.shadow(light) {
         None => transmittance(scene, o, d, t_max, origin, inside),
-        Some(shadow) => Ruled { scene, shadow, around: *inside }.visibility(o, d, t_max, origin),
+        Some(shadow) => Ruled { scene, shadow, around: inside }.visibility(o, d, t_max, origin),
     }
 }
 
@@ -42,7 +42,7 @@ pub(super) fn visibility_beyond(
     match scene.lights.shadow(light) {
         None => transmittance_beyond(scene, hit, d, t_max, inside),
         Some(shadow) => {
-            let ruled = Ruled { scene, shadow, around: *inside };
+            let ruled = Ruled { scene, shadow, around: inside };
             let hit = match hit {
                 // An object in the medium that casts no shadow.
                 Some(at) if !ruled.holds_up(at.instance) => ruled.closest(o, d, t_max, None),
@@ -64,17 +64,17 @@ fn transmittance(scene: Moment, o: Vec3, d: Vec3, t_max: f32, origin: Origin, in
 
 /// [`transmittance`] of a ray whose first surface is `hit`.
 fn transmittance_beyond(scene: Moment, mut hit: Option<SurfaceHit>, d: Vec3, t_max: f32, inside: &Nest) -> Rgb {
-    let (mut left, mut inside) = (t_max, *inside);
+    let (mut left, mut inside, mut beyond) = (t_max, inside, None);
     let mut passed = Rgb::ONE;
     for _ in 0..MAX_LAYERS {
         passed *= inside.transmittance(hit.map_or(left, |hit| hit.t));
         let Some(at) = hit else { return passed };
-        let mut si = scene.interaction(&at, d, side_of(&inside, at.instance));
+        let mut si = scene.interaction(&at, d, side_of(inside, at.instance));
         // The edge of a cut-out is that of its finest level.
         let coating = scene.shade(&mut si, 0.0);
-        if is_passed(scene, &inside, at.instance, &coating) {
-            let Some(nest) = crossed(scene, &inside, &si, &coating) else { return Rgb::ZERO };
-            inside = nest;
+        if is_passed(scene, inside, at.instance, &coating) {
+            let Some(nest) = crossed(scene, inside, &si, &coating) else { return Rgb::ZERO };
+            inside = beyond.insert(nest);
         } else {
             passed *= coating.surface.transparency(si.frame.n.dot(d).abs());
         }
@@ -100,7 +100,7 @@ fn is_passed(scene: Moment, inside: &Nest, instance: u32, coating: &Coating) -> 
 struct Ruled<'a> {
     scene: Moment<'a>,
     shadow: &'a Shadow,
-    around: Nest,
+    around: &'a Nest,
 }
 
 impl Ruled<'_> {
@@ -119,7 +119,7 @@ impl Ruled<'_> {
     }
 
     fn beyond(&self, mut hit: Option<SurfaceHit>, d: Vec3, t_max: f32) -> Rgb {
-        let (scene, mut inside) = (self.scene, self.around);
+        let (scene, mut inside, mut beyond) = (self.scene, self.around, None);
         let (mut way, mut entering, mut lit) = (0.0, Rgb::ONE, Rgb::ONE);
         for _ in 0..MAX_LAYERS {
             let until = hit.map_or(t_max - way, |hit| hit.t);
@@ -132,11 +132,11 @@ impl Ruled<'_> {
             way += until;
             let done = entering.max_element() <= 0.0 || lit.max_element() <= 0.0 && inside.medium().is_none();
             let Some(at) = hit.filter(|_| !done) else { return entering * self.shadow.shown(lit) };
-            let mut si = scene.interaction(&at, d, side_of(&inside, at.instance));
+            let mut si = scene.interaction(&at, d, side_of(inside, at.instance));
             let coating = scene.shade(&mut si, 0.0);
-            if is_passed(scene, &inside, at.instance, &coating) {
-                let Some(nest) = crossed(scene, &inside, &si, &coating) else { return Rgb::ZERO };
-                inside = nest;
+            if is_passed(scene, inside, at.instance, &coating) {
+                let Some(nest) = crossed(scene, inside, &si, &coating) else { return Rgb::ZERO };
+                inside = beyond.insert(nest);
             } else {
                 let through = coating.surface.transparency(si.frame.n.dot(d).abs());
                 if si.side == Side::Inside { entering *= through } else { lit *= self.dimmed(through, way) }
@@ -188,8 +188,7 @@ impl Path<'_> {
             let Some(hit) = scene.closest_where(o, d, f32::INFINITY, origin, |i| ruled(i).is_some()) else { return };
             let mut si = scene.interaction(&hit, d, Side::Outside);
             // In a mirror the material's glow is seen in place of the light.
-            let glows =
-                matches!(self.previous, Previous::Delta) && scene.shade(&mut si, 0.0).surface.emission() != Rgb::ZERO;
+            let glows = self.looks && scene.shade(&mut si, 0.0).surface.emission() != Rgb::ZERO;
             if let (Some((light, first)), true) = (ruled(hit.instance), si.front && !glows) {
                 let on_mesh = ShapeHit::on_mesh((si.p - self.o).dot(d), first + hit.triangle);
                 self.meet_ruled(light, &on_mesh);

@@ -4,7 +4,7 @@
 use super::collision::CollisionLight;
 use super::medium::Passage;
 use super::nest::Inside;
-use super::{Bucket, Cone, Path, Previous};
+use super::{Cone, Path, Previous};
 use crate::bsdf::Boundary;
 use crate::math::Rgb;
 use crate::sampling::sampler::Sampler;
@@ -25,9 +25,6 @@ impl Path<'_> {
             }
             None => medium,
         };
-        if self.depth == 0 {
-            self.bucket = Bucket::Subsurface;
-        }
         self.meet_ruled_lights_once();
         let enclosure = InstanceEnclosure::new(scene, body.instance);
         let start = self.start_within(&enclosure);
@@ -36,17 +33,9 @@ impl Path<'_> {
         if lit && scene.has_light_shapes() {
             self.meet_lights_within(&enclosure, start.p, start.d, start.hit, &within);
         }
-        let (instance, surface, boundary, bucket) = (body.instance, body.surface, body.boundary, self.bucket);
-        let light = lit.then_some(CollisionLight {
-            scene,
-            instance,
-            around: within,
-            scale: 1.0,
-            bucket,
-            bent: None,
-            wades: true,
-        });
-        let passage = Passage { enclosure, instance, surface, boundary, bent: None, plan, medium, first: false };
+        let (instance, surface, bucket) = (body.instance, body.surface, self.bucket_of_media());
+        let light = lit.then_some(CollisionLight { scene, instance, around: &within, scale: 1.0, bucket, bent: None });
+        let passage = Passage { enclosure, instance, surface, bent: None, plan, medium, first: false };
         let (at, d, scattered) = self.sub_walk(&passage, start, light, sampler)?;
         self.o = passage.enclosure.to_render(start.p);
         if let Some((p, pdf)) = scattered {
@@ -54,6 +43,7 @@ impl Path<'_> {
             self.o = p;
             self.cone = Cone::WIDE;
             self.hold_up();
+            self.be_scattered();
             // Without light at collisions what the walk meets is its own alone.
             self.previous = Previous::Delta;
             // Lights with shadow rules are all those of next-event estimation: what they shine through would have to be

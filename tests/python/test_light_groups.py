@@ -355,3 +355,41 @@ def test_our_stage_of_groups(usd_scenes):
     for name, parts in (("light_KeyRight", ["KeyRight"]), ("light_key", list(keys))):
         lit = sight.mean(sum(expected[part][:, free] for part in parts)).mean(0)
         assert np.allclose(image[name][free].mean(0), lit, rtol=0.01), name
+
+
+PANE = """
+    def Cube "Pane" (prepend apiSchemas = ["MaterialBindingAPI"])
+    {
+        double size = 2
+        rel material:binding = </World/Clear>
+        double3 xformOp:translate = (0, 0, -0.7)
+        double3 xformOp:scale = (1.6, 1.5, 0.05)
+        uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:scale"]
+    }
+    def Material "Clear"
+    {
+        token outputs:mtlx:surface.connect = </World/Clear/S.outputs:out>
+        def Shader "S"
+        {
+            uniform token info:id = "ND_open_pbr_surface_surfaceshader"
+            float inputs:transmission_weight = 1
+            float inputs:specular_roughness = 0
+            token outputs:out
+        }
+    }
+"""
+
+
+def test_through_glass_a_panel_lights_with_its_light_not_its_glow():
+    """The catcher sees the panel through the pane, which no light is sampled through: by chance it meets the same
+    light. The camera sees the glow, through the pane too."""
+
+    def image(glow: str) -> np.ndarray:
+        stage = opened(stage_text(CAMERA, CATCHER, panel("independent", glow), PANE))
+        settings = {"samples": 256, "camera": "/World/main_cam", "aovs": [], "maxDepth": 6}
+        return dermis.render(stage, resolution=(24, 24), **settings).color[..., :3]
+
+    glowing, dark = image("(0.2, 0.4, 40)"), image("(0, 0, 0)")
+    assert glowing[10:14, 10:14, 2].mean() > 20.0 > 3.0 > dark[10:14, 10:14, 2].mean()
+    assert dark[1:3, 8:16].mean() > 0.01
+    assert np.array_equal(glowing[1:3, 8:16], dark[1:3, 8:16])

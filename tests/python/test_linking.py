@@ -531,3 +531,70 @@ def test_our_stage(usd_scenes):
     meshes = set(categories(of))
     assert meshes - lit == {"/World/Balls/Third"} and meshes - casting == {"/World/Hats/First"}
     assert of.warnings == []
+
+
+WALL = "[(-90, -90, 4), (90, -90, 4), (90, 90, 4), (-90, 90, 4)]"
+
+
+def test_the_distance_of_a_shadow_from_a_collision_is_the_same_however_it_is_lit():
+    """A ball of fog beneath a wall, which is nearer than the distance to some of the fog, farther to the rest: alone
+    the fog is walked through from boundary to boundary, with a speck in it to the next surface."""
+    fog = """
+    def Sphere "Ball" (prepend apiSchemas = ["MaterialBindingAPI"])
+    {
+        double radius = 0.9
+        rel material:binding = </Look>
+    }
+    """
+    speck = """
+    def Mesh "Speck"
+    {
+        int[] faceVertexCounts = [3]
+        int[] faceVertexIndices = [0, 1, 2]
+        point3f[] points = [(0, 0, 0), (1e-4, 0, 0), (0, 1e-4, 0)]
+        uniform token subdivisionScheme = "none"
+    }
+    """
+    look = """
+    float inputs:subsurface = 1
+    color3f inputs:subsurfaceRadius = (0.7, 0.7, 0.7)
+    color3f inputs:subsurfaceColor = (0.7, 0.7, 0.7)
+    token inputs:subsurfaceBoundary = "indexMatched"
+    """
+    wall = BLOCKER.replace("[(0, -3, 4), (3, -3, 4), (3, 3, 4), (0, 3, 4)]", WALL)
+    rule = "float inputs:shadow:distance = 5\n"
+    images = []
+    for inner in ("", speck):
+        world = 'def Xform "World"\n{' + fog + inner + wall + "}\n" + BLACK
+        light = lamp(rule, "DomeLight", apis='"ShadowAPI"')
+        stage = stage_of(world + light + NEAR + LOOK.format(inputs=look))
+        image = dermis.render(stage, resolution=(20, 10), samples=1600, camera="/Cam", aovs=["variance"])
+        assert (image.stats["needs"]["hosts"] > 0) == bool(inner)
+        images.append((image.color[..., :3].astype(float), image["variance"].astype(float)))
+    assert_same(*images)
+
+
+@pytest.mark.parametrize("others", [8, 40])
+def test_lights_for_others_make_no_noise(others):
+    """Few lights are weighed one by one, many are in a tree: either way those that are for the other card cost the
+    left one no draw."""
+    rest = "".join(
+        lamp(
+            "rel collection:lightLink:excludes = </World/Left>\n float inputs:radius = 0.4",
+            "SphereLight",
+            name=f"Other{i}",
+            z=3.0 + 0.1 * i,
+        )
+        for i in range(others)
+    )
+
+    def left(lights: str) -> tuple[np.ndarray, np.ndarray]:
+        world = CARDS + lamp("float inputs:radius = 1.5", "SphereLight") + lights
+        stage = stage_of(world + CAMERA + LOOK.format(inputs="float inputs:roughness = 1"))
+        settings = {"samples": 256, "maxDepth": 0, "exitLights": "one"}
+        image = dermis.render(stage, resolution=(20, 10), camera="/Cam", aovs=["variance"], **settings)
+        return tuple(image[name][3:7, 3:7, :3].astype(float) for name in ("color", "variance"))
+
+    alone, among = left(""), left(rest)
+    assert_same(among, alone, at_most=0.1)
+    assert among[1].mean() < 1.5 * alone[1].mean()

@@ -70,3 +70,52 @@ def test_other_layers_do_not_change():
     with_them = dermis.render(stage_of(text + camera(1)), aovs=["albedo", *AOVS], **settings)
     without = dermis.render(stage_of(text + camera(1)), aovs=["albedo"], **settings)
     assert all(np.array_equal(with_them[name], without[name]) for name in ("color", "albedo"))
+
+
+FOG = """
+def Cube "Fog" (
+    prepend apiSchemas = ["MaterialBindingAPI"]
+)
+{
+    double size = 40
+    rel material:binding = </Mist>
+}
+def Material "Mist"
+{
+    token outputs:surface.connect = </Mist/S.outputs:surface>
+    def Shader "S"
+    {
+        uniform token info:id = "UsdPreviewSurface"
+        float inputs:subsurface = 1
+        color3f inputs:subsurfaceColor = (0.8, 0.8, 0.8)
+        color3f inputs:subsurfaceRadius = (4, 4, 4)
+        token inputs:subsurfaceBoundary = "indexMatched"
+        token outputs:surface
+    }
+}
+"""
+
+
+def test_what_is_seen_through_fog_is_no_scattered_light():
+    """The camera is in the fog, 5 from a quad: what passes 5 / 4 mean free paths unscattered is the quad's own."""
+    glow = glowing(
+        shader("C", "ND_constant_color3", f"color3f inputs:value = {GLOW}", "color3f outputs:out"),
+        "C.outputs:out",
+    )
+    settings = {"samples": 16384, "maxDepth": 2}
+    emission, bounced, _ = layers(glow + quads(1, "") + FOG, **settings)
+    np.testing.assert_allclose(emission[1, 1], np.exp(-5.0 / 4.0) * np.array(GLOW), rtol=0.06)
+    assert not bounced[1, 1].any()
+    lamp = 'def SphereLight "Lamp"\n{\n    float inputs:intensity = 30\n    float inputs:radius = 0.5\n'
+    lamp += '    double3 xformOp:translate = (2, 0.5, 2)\n    uniform token[] xformOpOrder = ["xformOp:translate"]\n}\n'
+    text = (
+        look("color3f inputs:diffuseColor = (0.5, 0.5, 0.5)", "float inputs:roughness = 1")
+        + quads(1, "")
+        + lamp
+    )
+    image = render(text + FOG, 1, **settings | {"aovs": [*AOVS, "subsurface"]})
+    clear = render(text, 1, **settings | {"aovs": AOVS})
+    assert not image["emission"][1, 1].any() and (image["subsurface"][1, 1] > 0.01).all()
+    # Light that reaches the quad unscattered by the way it came, its own way dimmed by 2.5 to 3.5 / 4.
+    share = image["firstBounce"][1, 1] / (np.exp(-5.0 / 4.0) * clear["firstBounce"][1, 1])
+    assert (np.exp(-3.6 / 4.0) < share).all() and (share < np.exp(-1.9 / 4.0)).all(), share
