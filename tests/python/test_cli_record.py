@@ -628,8 +628,8 @@ def test_what_is_odd_on_a_stage_costs_itself_alone(tmp_path, capsys):
                 '/R: walk is "jog"; give auto, ',
                 "/R/V: sourceName: 'nonsense' is not written",
                 "/R/P: orderedVars: none of them can be written; the beauty is",
-                "/Seen: purpose: 'odd' is not known; 'default' is used",
-                "/Seen: visibility: 'maybe' is not known; 'inherited' is used",
+                "/Seen: purpose: 'odd' is not supported; 'default' is used",
+                "/Seen: visibility: 'maybe' is not supported; 'inherited' is used",
             ):
                 assert sum(words in line for line in lines) == 1, (words, said)
     odd, expected = (channels(file.with_suffix(".exr")) for file in files)

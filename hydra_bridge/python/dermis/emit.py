@@ -19,6 +19,7 @@ from .reading import Reader
 from .shaders import HAIR
 from .skel import Skins, is_skinned
 from .sync_mode import respond, sync_mode
+from .udim import warn_missing_tiles
 from .walk import Found, Frame, canonical_path
 
 Prim = dict[str, Any]
@@ -239,6 +240,7 @@ class Emitter:
             primvars = self.primvars(found, mesh, names, hair)
             if primvars:
                 mesh["primvars"] = primvars
+                warn_missing_tiles(found.prim, mesh, self.prims, self.reader)
 
     def primvars(self, found: Found, mesh: Prim, names: dict[str, str], hair: bool) -> Prim:
         """As `fields`."""

@@ -16,7 +16,7 @@ from .bindings import bound_materials
 from .instancer import Placements, nested, place, point_instances
 from .light import LIGHT_TYPES, UNSUPPORTED_LIGHTS
 from .linking import Links, Placer
-from .mesh import INHERITED_PRIMVARS, MESH_TYPES
+from .mesh import INHERITED_PRIMVARS, MESH_TYPES, choice
 from .reading import Reader
 
 UNSUPPORTED_PRIMS = (
@@ -252,10 +252,10 @@ def descend(prim: Usd.Prim, context: Context, reader: Reader) -> Context:
     """The context of a prim from that of its parent."""
     changes: dict[str, Any] = {}
     names = prim.GetAuthoredPropertyNames()
-    if "visibility" in names and word(prim, "visibility", VISIBILITIES, reader) == "invisible":
+    if "visibility" in names and choice(prim, "visibility", VISIBILITIES, reader) == "invisible":
         changes["visible"] = False
     if "purpose" in names:
-        changes["purpose"] = word(prim, "purpose", PURPOSES, reader)
+        changes["purpose"] = choice(prim, "purpose", PURPOSES, reader)
     if any(name.startswith("primvars:") for name in names):
         changes["primvars"] = constant_primvars(prim, context, reader)
     if any(name.startswith("material:binding") for name in names):
@@ -264,15 +264,6 @@ def descend(prim: Usd.Prim, context: Context, reader: Reader) -> Context:
     if any(name.startswith("skel:") for name in names):
         changes["skel"] = skel_bindings(prim, context)
     return replace(context, **changes) if changes else context
-
-
-def word(prim: Usd.Prim, name: str, words: tuple[str, ...], reader: Reader) -> str:
-    """A token attribute; the first of `words` where it is none of them."""
-    value = reader.value(prim, name, words[0])
-    if value in words:
-        return value
-    reader.warn(prim, f"{name}: '{value}' is not known; '{words[0]}' is used; give {', '.join(words)}")
-    return words[0]
 
 
 def skel_bindings(prim: Usd.Prim, context: Context) -> tuple:
