@@ -90,19 +90,21 @@ pub fn subsurface_radius(radius: Rgb, name: &str, check: &mut Check) -> Option<R
 
 /// Mean free path and single-scattering albedo of a transmission medium; OpenPBR 1.1, "Translucent base", and
 /// Standard Surface 1.0.1, "Transmission", which agree: sigma_t = -ln(color) / depth, sigma_s = scatter / depth, and
-/// a grey shift of sigma_a where it would be negative. Without depth there is no medium.
+/// a grey shift of sigma_a where it would be negative. So any scatter from 0 means something, though the tables of both
+/// end at 1 (OpenPBR's pull request 286: that range "didn't make sense"). Without depth there is no medium.
 pub fn transmission(color: Rgb, depth: f32, scatter: Rgb) -> (Rgb, InteriorAlbedo) {
     if depth == 0.0 {
         return (Rgb::INFINITY, InteriorAlbedo::Single(Rgb::ZERO));
     }
     // Black would be infinitely dense; 1e-6 after one depth is as black as an image holds.
     let color = color.max(Rgb::splat(1e-6));
-    let sigma_s = scatter / depth;
-    let sigma_a = -Rgb::new(color.x.ln(), color.y.ln(), color.z.ln()) / depth - sigma_s;
-    let sigma_a = sigma_a - sigma_a.min_element().min(0.0);
-    let sigma_t = sigma_a + sigma_s;
-    let albedo = Rgb::select(sigma_t.cmpgt(Rgb::ZERO), sigma_s / sigma_t, Rgb::ZERO);
-    (sigma_t.recip(), InteriorAlbedo::Single(albedo))
+    // Optical thicknesses of one depth: their ratios stay finite, however small it is.
+    let absorbed = -Rgb::new(color.x.ln(), color.y.ln(), color.z.ln()) - scatter;
+    let absorbed = absorbed - absorbed.min_element().min(0.0);
+    let thickness = absorbed + scatter;
+    let albedo = Rgb::select(thickness.cmpgt(Rgb::ZERO), scatter / thickness, Rgb::ZERO);
+    // The least number whose inverse is one.
+    ((depth / thickness).max(Rgb::splat(f32::MIN_POSITIVE)), InteriorAlbedo::Single(albedo))
 }
 
 #[cfg(test)]
@@ -135,5 +137,8 @@ mod tests {
         assert!(radius.min_element() > 0.0);
         assert_eq!(albedo, InteriorAlbedo::Single(Rgb::ZERO));
         assert_eq!(transmission(Rgb::splat(0.5), 0.0, Rgb::ONE).0, Rgb::INFINITY);
+        let (radius, albedo) = transmission(Rgb::splat(0.5), f32::MIN_POSITIVE, Rgb::splat(1e30));
+        assert!(radius.recip().is_finite());
+        assert_eq!(albedo, InteriorAlbedo::Single(Rgb::ONE));
     }
 }

@@ -70,13 +70,13 @@ fn check_open_pbr(surface: &mut OpenPbrSurface, report: &mut Report) {
         base_diffuse_roughness "base_diffuse_roughness", base_metalness "base_metalness",
         specular_color "specular_color", specular_roughness "specular_roughness",
         transmission_weight "transmission_weight", transmission_color "transmission_color",
-        transmission_scatter "transmission_scatter", subsurface_weight "subsurface_weight",
-        subsurface_color "subsurface_color", subsurface_radius_scale "subsurface_radius_scale",
-        coat_weight "coat_weight", coat_color "coat_color", coat_roughness "coat_roughness",
-        geometry_opacity "geometry_opacity");
+        subsurface_weight "subsurface_weight", subsurface_color "subsurface_color",
+        subsurface_radius_scale "subsurface_radius_scale", coat_weight "coat_weight", coat_color "coat_color",
+        coat_roughness "coat_roughness", geometry_opacity "geometry_opacity");
     clamp!(report, surface, default, NOT_NEGATIVE; specular_weight "specular_weight",
-        transmission_depth "transmission_depth", subsurface_radius "subsurface_radius",
-        emission_luminance "emission_luminance", emission_color "emission_color");
+        transmission_depth "transmission_depth", transmission_scatter "transmission_scatter",
+        subsurface_radius "subsurface_radius", emission_luminance "emission_luminance",
+        emission_color "emission_color");
     clamp!(report, surface, default, ANISOTROPY;
         transmission_scatter_anisotropy "transmission_scatter_anisotropy",
         subsurface_scatter_anisotropy "subsurface_scatter_anisotropy");
@@ -90,12 +90,11 @@ fn check_standard(surface: &mut StandardSurface, report: &mut Report) {
     clamp!(report, surface, default, UNIT; base "base", base_color "base_color",
         diffuse_roughness "diffuse_roughness", metalness "metalness", specular "specular",
         specular_color "specular_color", specular_roughness "specular_roughness", transmission "transmission",
-        transmission_color "transmission_color", transmission_scatter "transmission_scatter",
-        subsurface "subsurface", subsurface_color "subsurface_color", coat "coat", coat_color "coat_color",
-        coat_roughness "coat_roughness", opacity "opacity");
+        transmission_color "transmission_color", subsurface "subsurface", subsurface_color "subsurface_color",
+        coat "coat", coat_color "coat_color", coat_roughness "coat_roughness", opacity "opacity");
     clamp!(report, surface, default, NOT_NEGATIVE; transmission_depth "transmission_depth",
-        subsurface_radius "subsurface_radius", subsurface_scale "subsurface_scale", emission "emission",
-        emission_color "emission_color");
+        transmission_scatter "transmission_scatter", subsurface_radius "subsurface_radius",
+        subsurface_scale "subsurface_scale", emission "emission", emission_color "emission_color");
     clamp!(report, surface, default, ANISOTROPY;
         transmission_scatter_anisotropy "transmission_scatter_anisotropy",
         subsurface_anisotropy "subsurface_anisotropy");

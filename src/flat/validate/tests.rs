@@ -302,9 +302,19 @@ fn materials_name_their_own_inputs() {
         ior: 0.0,
         ..PreviewSurface::default()
     });
-    let mut open_pbr = Material::OpenPbr(OpenPbrSurface { subsurface_radius: -1.0, ..OpenPbrSurface::default() });
-    let mut standard =
-        Material::StandardSurface(StandardSurface { specular_ior: -1.5, coat_ior: 1e9, ..StandardSurface::default() });
+    // What scatters in a depth may do so more than once.
+    let transmission_scatter = [1.6, 0.5, 0.0];
+    let mut open_pbr = Material::OpenPbr(OpenPbrSurface {
+        subsurface_radius: -1.0,
+        transmission_scatter,
+        ..OpenPbrSurface::default()
+    });
+    let mut standard = Material::StandardSurface(StandardSurface {
+        specular_ior: -1.5,
+        coat_ior: 1e9,
+        transmission_scatter,
+        ..StandardSurface::default()
+    });
     let check = |material: &mut Material| messages(|warnings| validate_material("/look", material, warnings));
     assert_eq!(
         check(&mut preview),
