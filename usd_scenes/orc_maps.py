@@ -188,16 +188,16 @@ def skin_maps(points, normals, triangles):
 
 
 def write_maps(folder, maps):
-    """JPEG; the colour is encoded for sRGB, the others are data."""
+    """JPEG; colours are encoded for sRGB, the others are data."""
     import OpenImageIO as oiio
 
     folder.mkdir(exist_ok=True)
     for name, values in maps.items():
-        if name == "color":
+        if name in ("color", "eye"):
             values = np.where(
                 values < 0.0031308, 12.92 * values, 1.055 * np.maximum(values, 1e-9) ** (1 / 2.4) - 0.055
             )
-        spec = oiio.ImageSpec(SIZE, SIZE, 3, oiio.UINT8)
+        spec = oiio.ImageSpec(values.shape[1], values.shape[0], 3, oiio.UINT8)
         spec.attribute("compression", "jpeg:88")
         spec.attribute("jpeg:subsampling", "4:4:4" if name == "normal" else "4:2:0")
         image = oiio.ImageBuf(spec)

@@ -11,10 +11,11 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from orc_eyes import cornea, eye_map, eyeball, tear_line
 from orc_hair import tufts
 from orc_maps import skin_maps, write_maps
 from orc_mesh import graded_axis, mesh_field, report
-from orc_parts import earring, eyeball, tusk
+from orc_parts import earring, tusk
 from orc_scene import EYE_HEIGHT, around, stage_text, write_meshes
 from orc_sdf import vec
 from orc_shape import EYE_CENTER, EYE_RADIUS, sculpt
@@ -35,10 +36,15 @@ def axes(coarseness):
 
 def model(coarseness):
     """All meshes by prim name; left and right are the orc's own, his left is +X."""
+    field = sculpt()
     return {
-        "Skin": mesh_field(sculpt(), axes(coarseness)),
-        "EyeLeft": eyeball(1, *GAZE[1]),
-        "EyeRight": eyeball(-1, *GAZE[-1]),
+        "Skin": mesh_field(field, axes(coarseness)),
+        "EyeLeft": eyeball(1, GAZE[1]),
+        "EyeRight": eyeball(-1, GAZE[-1]),
+        "CorneaLeft": cornea(1, GAZE[1]),
+        "CorneaRight": cornea(-1, GAZE[-1]),
+        "TearLeft": tear_line(field, 1),
+        "TearRight": tear_line(field, -1),
         "TuskLeft": tusk(1),
         "TuskRight": tusk(-1, shorter=0.1),
         "Earring": earring(),
@@ -65,7 +71,7 @@ def main(arguments):
         print(name, check(name, mesh))
     points, triangles, normals = meshes["Skin"][:3]
     write_meshes(options.out / "orc_meshes.usdc", meshes, tufts(points, normals))
-    write_maps(options.out / "textures", skin_maps(points, normals, triangles))
+    write_maps(options.out / "textures", {**skin_maps(points, normals, triangles), "eye": eye_map()})
     eye = EYE_CENTER + vec(0.2, EYE_HEIGHT, EYE_RADIUS)
     (options.out / "orc.usda").write_text(stage_text(CAMERA, TARGET, eye))
 

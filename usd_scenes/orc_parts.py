@@ -1,11 +1,8 @@
-"""The parts beside the skin: eyeballs with an iris by face subsets, tusks, and an earring; all closed meshes."""
+"""The parts beside skin and eyes: tusks and an earring; closed meshes, and how they are made."""
 
 import numpy as np
-from orc_sdf import noise, rotation, smooth_line, smooth_max, unit, vec
-from orc_shape import CORNEA_OFFSET, CORNEA_RADIUS, EYE_CENTER, EYE_RADIUS, TUSK, TUSK_RADII, ears
-
-# Angles from the gaze axis at which the eye's regions end, degrees.
-PUPIL, COLLARETTE, IRIS, LIMBUS = 8.0, 12.5, 24.0, 27.0
+from orc_sdf import smooth_line, unit, vec
+from orc_shape import TUSK, TUSK_RADII, ears
 
 
 def skin_rings(rings, first, last):
@@ -31,54 +28,6 @@ def smooth_normals(points, triangles):
     for i in range(3):
         np.add.at(total, triangles[:, i], cross)
     return total / np.linalg.norm(total, axis=1, keepdims=True)
-
-
-def eye_angles():
-    """Ring angles from the gaze axis, radians: dense on the cornea, with rings on the regions' borders."""
-    spans = (
-        (0, PUPIL, 6),
-        (PUPIL, COLLARETTE, 5),
-        (COLLARETTE, IRIS, 10),
-        (IRIS, LIMBUS, 4),
-        (LIMBUS, 180, 56),
-    )
-    steps = [np.linspace(a, b, n + 1)[1:] for a, b, n in spans]
-    return np.radians(np.concatenate(steps)[:-1])
-
-
-def eyeball(side, yaw, pitch, segments=144):
-    """Points, triangles, normals and subsets {name: face indices} of an eye that looks yaw/pitch degrees aside."""
-    theta, phi = eye_angles(), np.linspace(0, 2 * np.pi, segments, endpoint=False)
-    bulge = CORNEA_OFFSET * np.cos(theta) + np.sqrt(CORNEA_RADIUS**2 - (CORNEA_OFFSET * np.sin(theta)) ** 2)
-    radius = smooth_max(bulge, np.full_like(theta, EYE_RADIUS), 0.05)
-    t, f = np.meshgrid(theta, -phi, indexing="ij")
-    rings = radius[:, None, None] * np.stack([np.sin(t) * np.cos(f), np.sin(t) * np.sin(f), np.cos(t)], -1)
-    poles = vec(0, 0, CORNEA_OFFSET + CORNEA_RADIUS), vec(0, 0, -EYE_RADIUS)
-    points, triangles = skin_rings(rings, *poles)
-    subsets = eye_regions(points, triangles)
-    points = points @ rotation(x=pitch, y=yaw).T + EYE_CENTER * vec(side, 1, 1)
-    return points, triangles, smooth_normals(points, triangles), subsets
-
-
-def eye_regions(points, triangles):
-    """Faces by angle from the axis; the iris is split into three tones along its radial fibres."""
-    c = points[triangles].mean(1)
-    angle = np.degrees(np.arctan2(np.hypot(c[:, 0], c[:, 1]), c[:, 2]))
-    around = np.arctan2(c[:, 1], c[:, 0])
-    fibre = noise(np.stack([np.cos(around) * 9, np.sin(around) * 9, angle * 0.13], 1), 1.0, 4)
-    fibre += 0.5 * noise(np.stack([np.cos(around) * 20, np.sin(around) * 20, angle * 0.1], 1), 1.0, 7)
-    fibre += 0.5 * (angle < COLLARETTE + 2 * fibre) - 0.5 * (angle > IRIS - 2.5 + fibre)
-    tone = np.digitize(fibre, [-0.2, 0.2])
-    iris = (angle >= PUPIL) & (angle < IRIS)
-    regions = {
-        "pupil": angle < PUPIL,
-        "irisDark": iris & (tone == 0),
-        "irisMiddle": iris & (tone == 1),
-        "irisBright": iris & (tone == 2),
-        "limbus": (angle >= IRIS) & (angle < LIMBUS),
-        "sclera": angle >= LIMBUS,
-    }
-    return {name: np.flatnonzero(mask) for name, mask in regions.items()}
 
 
 def frames_along(line):

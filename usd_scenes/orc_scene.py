@@ -6,45 +6,46 @@ from orc_sdf import unit, vec
 from pxr import Sdf, Usd, UsdGeom, Vt
 
 EYE_HEIGHT = 24.0
-EYE_BINDINGS = {
-    "pupil": "Pupil",
-    "irisDark": "IrisDark",
-    "irisMiddle": "IrisMiddle",
-    "irisBright": "IrisBright",
-    "limbus": "Limbus",
-    "sclera": "Sclera",
+BINDINGS = {
+    "Skin": "Skin",
+    "EyeLeft": "Eye",
+    "EyeRight": "Eye",
+    "CorneaLeft": "Tears",
+    "CorneaRight": "Tears",
+    "TearLeft": "Tears",
+    "TearRight": "Tears",
+    "TuskLeft": "Ivory",
+    "TuskRight": "Ivory",
+    "Earring": "Gold",
 }
-BINDINGS = {"Skin": "Skin", "TuskLeft": "Ivory", "TuskRight": "Ivory", "Earring": "Gold"}
 TUFT_BINDINGS = {"Lashes": "Hair", "Brows": "Hair"}
 
 
 def write_meshes(path, meshes, tufts):
-    """meshes: {name: (points, triangles, normals[, subsets])}, tufts: {name: (points (n, 4, 3), width)}, below the
-    default prim /Orc. The skin gets texture coordinates."""
+    """meshes: {name: (points, triangles, normals[, st])}, tufts: {name: (points (n, 4, 3), width)}, below the
+    default prim /Orc. `st` is one per point; the skin's are made here."""
     stage = Usd.Stage.CreateNew(str(path))
     stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/Orc").GetPrim())
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
     UsdGeom.SetStageMetersPerUnit(stage, 0.01)
-    for name, (points, triangles, normals, *subsets) in meshes.items():
+    for name, (points, triangles, normals, *st) in meshes.items():
         mesh = define_mesh(stage, f"/Orc/{name}", points, triangles, normals)
-        for region, faces in (subsets[0] if subsets else {}).items():
-            indices = Vt.IntArray.FromNumpy(faces.astype(np.int32))
-            UsdGeom.Subset.CreateGeomSubset(
-                mesh, region, UsdGeom.Tokens.face, indices, "materialBind", "partition"
-            )
         if name == "Skin":
             define_coordinates(mesh, *coordinates(points, triangles))
+        elif st:
+            define_coordinates(mesh, *st)
     for name, (points, width) in tufts.items():
         define_tuft(stage, f"/Orc/{name}", points, width)
     stage.GetRootLayer().Save()
 
 
-def define_coordinates(mesh, st, indices):
-    primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(
-        "st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.faceVarying
-    )
+def define_coordinates(mesh, st, indices=None):
+    """One per point, or by indices of all corners."""
+    interpolation = UsdGeom.Tokens.vertex if indices is None else UsdGeom.Tokens.faceVarying
+    primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, interpolation)
     primvar.Set(Vt.Vec2fArray.FromNumpy(st.astype(np.float32)))
-    primvar.SetIndices(Vt.IntArray.FromNumpy(indices.astype(np.int32).ravel()))
+    if indices is not None:
+        primvar.SetIndices(Vt.IntArray.FromNumpy(indices.astype(np.int32).ravel()))
 
 
 def define_tuft(stage, path, points, width):
@@ -177,9 +178,11 @@ def skin():
         for key, source in mapped.items()
     )
     images = (
-        uv_texture("Color", "orc_color.jpg", "sRGB", "float3 outputs:rgb")
-        + uv_texture("Pores", "orc_normal.jpg", "raw", "float3 outputs:rgb", PORES)
-        + uv_texture("Wet", "orc_wet.jpg", "raw", "float outputs:r", "float outputs:g", "float outputs:b")
+        uv_texture("Skin", "Color", "orc_color.jpg", "sRGB", "float3 outputs:rgb")
+        + uv_texture("Skin", "Pores", "orc_normal.jpg", "raw", "float3 outputs:rgb", PORES)
+        + uv_texture(
+            "Skin", "Wet", "orc_wet.jpg", "raw", "float outputs:r", "float outputs:g", "float outputs:b"
+        )
     )
     return f'''
         def Material "Skin"
@@ -195,21 +198,24 @@ def skin():
                 token inputs:subsurfaceBoundary = "diffuse"{lines}
                 token outputs:surface
             }}
-
-            def Shader "Coordinates"
-            {{
-                uniform token info:id = "UsdPrimvarReader_float2"
-                string inputs:varname = "st"
-                float2 outputs:result
-            }}
-{images}        }}
+{COORDINATES}{images}        }}
 '''
 
 
 PORES = "float4 inputs:scale = (2, 2, 2, 1)", "float4 inputs:bias = (-1, -1, -1, 0)"
 
 
-def uv_texture(name, file, space, *lines):
+COORDINATES = """
+            def Shader "Coordinates"
+            {
+                uniform token info:id = "UsdPrimvarReader_float2"
+                string inputs:varname = "st"
+                float2 outputs:result
+            }
+"""
+
+
+def uv_texture(look, name, file, space, *lines):
     lines = [line for group in lines for line in (group if isinstance(group, tuple) else (group,))]
     body = "".join(f"\n                {line}" for line in lines)
     return f'''
@@ -220,7 +226,7 @@ def uv_texture(name, file, space, *lines):
                 token inputs:sourceColorSpace = "{space}"
                 token inputs:wrapS = "repeat"
                 token inputs:wrapT = "clamp"
-                float2 inputs:st.connect = </World/Looks/Skin/Coordinates.outputs:result>{body}
+                float2 inputs:st.connect = </World/Looks/{look}/Coordinates.outputs:result>{body}
             }}
 '''
 
@@ -285,9 +291,37 @@ def scattering(name, color, mean_free_path, roughness, **more):
     )
 
 
-def wet(name, color):
-    coat = {"clearcoat": ("float", 1), "clearcoatRoughness": ("float", 0.06)}
-    return look(name, diffuseColor=("color3f", color), ior=("float", 1.38), roughness=("float", 0.25), **coat)
+def eye():
+    """White, iris and pupil by a map; their own gloss is that of flesh in water."""
+    image = uv_texture("Eye", "Color", "orc_eye.jpg", "sRGB", "float3 outputs:rgb")
+    return f"""
+        def Material "Eye"
+        {{
+            token outputs:surface.connect = </World/Looks/Eye/Surface.outputs:surface>
+
+            def Shader "Surface"
+            {{
+                uniform token info:id = "UsdPreviewSurface"
+                color3f inputs:diffuseColor.connect = </World/Looks/Eye/Color.outputs:rgb>
+                float inputs:ior = 1.05
+                float inputs:roughness = 0.5
+                token outputs:surface
+            }}
+{COORDINATES}{image}        }}
+"""
+
+
+def tears():
+    """Cornea and tears: a smooth dielectric that mirrors and lets the rest go straight on, so that light is sampled
+    through it. Refraction would leave the iris to what meets a light by chance."""
+    return look(
+        "Tears",
+        diffuseColor=("color3f", "(0, 0, 0)"),
+        ior=("float", 1.376),
+        opacity=("float", 0),
+        # Smooth to the eye; with less, only the fortieth of the samples that mirror would find a light.
+        roughness=("float", 0.15),
+    )
 
 
 def looks():
@@ -297,13 +331,9 @@ def looks():
         skin(),
         hair(),
         scattering("Ivory", "(0.86, 0.77, 0.58)", "(0.11, 0.075, 0.045)", 0.3, **coat),
-        "\n        # The eye: the tear film is a clear coat over sclera, limbus, three tones of iris, and pupil.",
-        wet("Sclera", "(0.62, 0.5, 0.36)"),
-        wet("Limbus", "(0.07, 0.035, 0.015)"),
-        wet("IrisDark", "(0.2, 0.055, 0.012)"),
-        wet("IrisMiddle", "(0.5, 0.17, 0.025)"),
-        wet("IrisBright", "(0.85, 0.4, 0.06)"),
-        wet("Pupil", "(0.004, 0.003, 0.003)"),
+        "\n        # The eye: a painted ball, its iris set back, below a clear cornea that ends as a film of tears.",
+        eye(),
+        tears(),
         look(
             "Gold",
             diffuseColor=("color3f", "(0.86, 0.6, 0.26)"),
@@ -315,22 +345,18 @@ def looks():
     return "".join(parts)
 
 
-def binding(material, indent):
-    return f"{' ' * indent}rel material:binding = </World/Looks/{material}>\n"
-
-
-def bound(kind, name, material, indent, inside=""):
-    pad = " " * indent
-    head = f'{pad}over "{name}" (\n{pad}    prepend apiSchemas = ["MaterialBindingAPI"]\n{pad})\n'
-    return head + f"{pad}{{\n{binding(material, indent + 4)}{inside}{pad}}}\n"
+def bound(name, material):
+    return f'''        over "{name}" (
+            prepend apiSchemas = ["MaterialBindingAPI"]
+        )
+        {{
+            rel material:binding = </World/Looks/{material}>
+        }}
+'''
 
 
 def bust():
-    parts = [bound("Mesh", name, material, 8) for name, material in BINDINGS.items()]
-    parts += [bound("BasisCurves", name, material, 8) for name, material in TUFT_BINDINGS.items()]
-    subsets = "".join("\n" + bound("GeomSubset", region, m, 12) for region, m in EYE_BINDINGS.items())
-    parts += [bound("Mesh", name, "Sclera", 8, subsets) for name in ("EyeLeft", "EyeRight")]
-    return "\n".join(parts)
+    return "\n".join(bound(name, material) for name, material in {**BINDINGS, **TUFT_BINDINGS}.items())
 
 
 RENDER_VARS = {

@@ -215,7 +215,10 @@ def mouth(s):
 
 def eyes(s):
     s.add(Ellipsoid(EYE_CENTER, [EYE_RADIUS + 0.3] * 3), 0.45)
-    s.carve(Lids(), 0.16)
+    lids = Lids()
+    s.carve(lids, 0.16)
+    # The caruncle, which fills the inner corner.
+    s.add(Ellipsoid(EYE_CENTER + lids.frame @ vec(-1.1, 0.0, 0.62), (0.26, 0.2, 0.22)), 0.12)
     s.carve(Eyeball(-0.02), 0.05)
 
 

@@ -10,7 +10,8 @@ from pxr import Usd, UsdGeom, UsdShade
 
 SCENES = Path(__file__).parents[2] / "usd_scenes"
 STAGE = Usd.Stage.Open(str(SCENES / "orc.usda"))
-MESHES = ["Skin", "EyeLeft", "EyeRight", "TuskLeft", "TuskRight", "Earring"]
+SIDES = ["Left", "Right"]
+MESHES = ["Skin", "Earring", *(part + side for part in ("Eye", "Cornea", "Tear", "Tusk") for side in SIDES)]
 
 
 def read(name: str) -> tuple[np.ndarray, np.ndarray]:
@@ -18,7 +19,7 @@ def read(name: str) -> tuple[np.ndarray, np.ndarray]:
     counts = np.asarray(mesh.GetFaceVertexCountsAttr().Get())
     assert (counts == 3).all()
     points = np.asarray(mesh.GetPointsAttr().Get(), np.float64)
-    return points, np.asarray(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3)
+    return points, np.asarray(mesh.GetFaceVertexIndicesAttr().Get(), np.int64).reshape(-1, 3)
 
 
 @pytest.mark.parametrize("name", MESHES)
@@ -85,7 +86,7 @@ def test_maps_are_found_and_light() -> None:
         for shader in map(UsdShade.Shader, STAGE.Traverse())
         if shader and shader.GetIdAttr().Get() == "UsdUVTexture"
     ]
-    assert len(files) == 3 and all(file.is_file() for file in files)
+    assert len(files) == 4 and all(file.is_file() for file in files)
     assert sum(file.stat().st_size for file in files) < 1.5e6
 
 
@@ -116,3 +117,83 @@ def test_hairs_grow_out_of_the_skin(name: str, least: int) -> None:
         assert np.linalg.norm(points - tip, axis=1).min() > 0.05
     bound = UsdShade.MaterialBindingAPI(curves).ComputeBoundMaterial()[0]
     assert str(bound.GetPath()) == "/World/Looks/Hair"
+
+
+# The eyes.
+
+CENTERS = {"Left": np.array([3.25, -0.15, 6.1]), "Right": np.array([-3.25, -0.15, 6.1])}
+"""Of the balls, in the space of the meshes."""
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_cornea_is_clear_and_stands_before_the_iris(side: str) -> None:
+    prim = STAGE.GetPrimAtPath(f"/World/Bust/Cornea{side}")
+    surface = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0].ComputeSurfaceSource()[0]
+    inputs = {i.GetBaseName(): i.Get() for i in surface.GetInputs()}
+    assert inputs["ior"] == pytest.approx(1.376) and inputs["opacity"] == 0.0 and inputs["roughness"] < 0.2
+    assert "subsurface" not in inputs and tuple(inputs["diffuseColor"]) == (0, 0, 0)
+    (ball, _), (cornea, _) = read(f"Eye{side}"), read(f"Cornea{side}")
+    ball, cornea = ball - CENTERS[side], cornea - CENTERS[side]
+    # The gaze is where the cornea is furthest from the middle.
+    gaze = cornea[np.linalg.norm(cornea, axis=1).argmax()]
+    gaze /= np.linalg.norm(gaze)
+    height, radius = ball @ gaze, np.linalg.norm(ball - np.outer(ball @ gaze, gaze), axis=1)
+    dome = cornea @ gaze
+    across = np.linalg.norm(cornea - np.outer(dome, gaze), axis=1)
+    order = np.argsort(across[dome > 0])
+    above = np.interp(radius, across[dome > 0][order], dome[dome > 0][order])
+    gap = (above - height)[(height > 0) & (radius < 1.2)]
+    iris = (height > 0.9) & (radius > 0.25) & (radius < 0.55)
+    assert gap.min() > 0.005, "the ball comes through its cornea"
+    assert iris.sum() > 1000 and (above - height)[iris].mean() > 0.15, "no chamber before the iris"
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_tears_lie_where_lid_and_ball_meet(side: str) -> None:
+    tear, _ = read(f"Tear{side}")
+    skin, _ = read("Skin")
+    from_ball = np.linalg.norm(tear - CENTERS[side], axis=1) - 1.3
+    assert np.abs(from_ball).max() < 0.06
+    for point in tear[::97]:
+        assert np.linalg.norm(skin - point, axis=1).min() < 0.2
+
+
+def eye(*without: str) -> np.ndarray:
+    """The eye that is nearer to the camera, its surroundings matte, (60, 80, 3)."""
+    dermis = pytest.importorskip("dermis")
+    stage = Usd.Stage.Open(str(SCENES / "orc.usda"))
+    stage.SetEditTarget(stage.GetSessionLayer())
+    for name in ("Lashes", "Brows", "TuskLeft", "TuskRight", "Earring", *without):
+        stage.GetPrimAtPath(f"/World/Bust/{name}").SetActive(False)
+    UsdShade.Shader(stage.GetPrimAtPath("/World/Looks/Skin/Surface")).GetInput("subsurface").Set(0.0)
+    camera = UsdGeom.Camera(stage.GetPrimAtPath("/World/Cameras/Main"))
+    # The film of the eye alone: its middle, in apertures from the middle of the picture.
+    for attribute, share, whole in (
+        (camera.GetHorizontalApertureOffsetAttr(), EYE_AT[0], 24.0),
+        (camera.GetVerticalApertureOffsetAttr(), EYE_AT[1], 27.0),
+    ):
+        attribute.Set(share * whole)
+    camera.GetHorizontalApertureAttr().Set(24 * 0.08)
+    camera.GetVerticalApertureAttr().Set(24 * 0.06)
+    image = dermis.render(stage, resolution=[80, 60], samples=48, maxDepth=1, aovs=[])
+    assert image.stats["warnings"] == []
+    return image.color[..., :3].astype(float)
+
+
+EYE_AT = (-0.033, 0.057)
+
+
+def test_iris_is_seen_through_the_cornea_and_lights_in_it() -> None:
+    clear, bare = eye(), eye("CorneaLeft", "TearLeft")
+    amber = (bare[..., 0] > 2.5 * bare[..., 2]) & (bare.sum(-1) > 0.1)
+    assert amber.sum() > 500, "the iris is not where it is looked for"
+    # Straight through, in sight and from the lights: Fresnel's 0.975 at small angles, times 0.93 to 0.975.
+    ratio = np.median(clear[amber] / bare[amber], axis=0)
+    assert (ratio > 0.9).all() and (ratio < 0.976).all(), ratio
+    row, column = np.argwhere(amber).mean(0).round().astype(int)
+    pupil = slice(row - 3, row + 4), slice(column - 3, column + 4)
+    assert bare[pupil].max() < 0.1
+    # The eye spot in the pupil, and a key beside it.
+    more = (clear - bare).min(-1)
+    assert more[row - 5 : row + 6, column - 5 : column + 6].max() > 0.3
+    assert (more > 0.15).sum() > 10
