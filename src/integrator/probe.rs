@@ -91,6 +91,7 @@ pub fn probe(
         path.previous = Previous::Sampled { p: si.p, n: Some(n), pdf: 0.0, lights: LightsAt::All };
         path.continue_from(&si, wi);
         path.receiver = si.instance;
+        path.looks = false;
         while path.segment(sampler).is_some() {}
         let indirect = path.sample.color() * (PI * entering(wi));
         if indirect.is_finite() {
