@@ -63,6 +63,7 @@ pub fn compile(m: &ChiangHair, check: &mut Check) -> Surface {
         base: Base::Hair(hair),
         interior: None,
         takes_display_color: false,
+        scatters_within: false,
     }
 }
 

@@ -61,6 +61,12 @@ impl Interior {
         self.sigma_t() == Rgb::ZERO
     }
 
+    /// Whether light in it ever changes direction.
+    pub fn scatters(&self) -> bool {
+        let (InteriorAlbedo::Color(albedo) | InteriorAlbedo::Single(albedo)) = self.albedo;
+        (self.sigma_t() * albedo).max_element() > 0.0
+    }
+
     /// With the boundary that is asked for; a dielectric with eta 1 is index-matched and the other way round.
     pub fn bounded(mut self, boundary: Boundary) -> Self {
         let matched = boundary == Boundary::IndexMatched || (boundary == Boundary::Dielectric && self.eta == 1.0);

@@ -44,6 +44,11 @@ impl Lobe {
         }
     }
 
+    /// Whether it is a diffuse one of a surface to layers and lights that tell lobes apart.
+    pub fn is_diffuse(&self) -> bool {
+        matches!(self, Self::Diffuse(_) | Self::StormDiffuse { .. })
+    }
+
     /// f * |cos|.
     pub fn eval(&self, wo: Vec3, wi: Vec3) -> Rgb {
         match self {

@@ -19,12 +19,14 @@ mod layered;
 mod lobe;
 mod openpbr;
 mod preview;
+mod response;
 mod specular;
 mod standard;
 mod surface;
 mod translucent;
 
 pub use interior::{Boundary, Interior, InteriorAlbedo};
+pub use response::Response;
 pub use surface::{NotedCurves, OfMesh, Surface};
 
 use crate::math::{Rgb, mean};
@@ -89,6 +91,8 @@ pub struct Bsdf {
     turn: f32,
     components: [Component; MAX_LOBES],
     len: usize,
+    /// It is seen from within a medium that scatters.
+    leaves: bool,
 }
 
 impl Bsdf {
@@ -98,7 +102,7 @@ impl Bsdf {
         // Exactly grazing sight has no projected area to divide by; 1e-5 keeps f32 quotients finite.
         let wo = Vec3::new(wo.x * turn, wo.y * turn, (wo.z * turn).max(1e-5)).normalize();
         let none = Component { lobe: Lobe::PassThrough, weight: Rgb::ZERO, probability: 0.0 };
-        Self { wo, turn, components: [none; MAX_LOBES], len: 0 }
+        Self { wo, turn, components: [none; MAX_LOBES], len: 0, leaves: false }
     }
 
     /// Adds a lobe whose directional albedo is about `albedo`; probabilities are proportional to what lobes return.
@@ -135,6 +139,7 @@ impl Bsdf {
     fn exit(wo: Vec3) -> Self {
         let mut bsdf = Self::new(wo);
         bsdf.push(Lobe::Exit, Rgb::ONE, Rgb::ONE);
+        bsdf.leaves = true;
         bsdf.normalized()
     }
 

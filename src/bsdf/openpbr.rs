@@ -45,6 +45,7 @@ pub fn compile(
         base: Base::Layered(Layered::new(&description, curves)),
         interior: description.medium.map(|medium| medium.interior),
         takes_display_color: false,
+        scatters_within: false,
     }
 }
 

@@ -114,6 +114,7 @@ pub fn compile(
         base: Base::Storm(inputs.storm(curves)),
         interior: None,
         takes_display_color: m.diffuse_color.is_none() && m.metallic == 0.0,
+        scatters_within: false,
     };
     if subsurface > 0.0 {
         add_medium(&mut surface, m, &inputs, subsurface, boundary_override, curves, check);

@@ -60,6 +60,8 @@ pub struct Surface {
     pub(super) interior: Option<Interior>,
     /// The diffuse colour is the mesh's.
     pub(super) takes_display_color: bool,
+    /// Of the interior, set once that is known.
+    pub(super) scatters_within: bool,
 }
 
 /// What a surface takes from elsewhere than its material.
@@ -115,14 +117,15 @@ impl Surface {
 
     fn with_curves(material: &Material, mesh: OfMesh, curves: &mut Curves, check: &mut Check) -> Self {
         let OfMesh { display_color, display_opacity, boundary_override } = mesh;
-        match material {
+        let surface = match material {
             Material::UsdPreviewSurface(m) => {
                 preview::compile(m, display_color, display_opacity, boundary_override, curves, check)
             }
             Material::OpenPbr(m) => openpbr::compile(m, boundary_override, curves, check),
             Material::StandardSurface(m) => standard::compile(m, boundary_override, curves, check),
             Material::Hair(m) => hair::compile(m, check),
-        }
+        };
+        Self { scatters_within: surface.interior.is_some_and(|interior| interior.scatters()), ..surface }
     }
 
     /// The medium behind the surface.
@@ -223,6 +226,7 @@ impl Surface {
             _ => None,
         };
         bsdf.push(lobe.unwrap_or(Lobe::IndexMatched), Rgb::ONE, Rgb::ONE);
+        bsdf.leaves = self.scatters_within;
         bsdf.normalized()
     }
 }

@@ -1,20 +1,23 @@
 //! The film: per-pixel sums of what samples brought, kept in tiles so that threads never share a pixel.
 
 pub mod cryptomatte;
+mod lobes;
 mod planes;
 mod saved;
 mod walks;
 
+pub use lobes::Lobe;
 pub use planes::Plane;
 pub use walks::FirstWalk;
 
 use crate::camera::{DataWindow, View};
 use crate::error::{Error, Result};
-use crate::flat::{GUIDE_AOVS, LIGHT_AOV, PRIMVAR_AOV};
+use crate::flat::{GUIDE_AOVS, LIGHT_AOV, LOBE_AOVS, PRIMVAR_AOV, parts_of};
 use crate::math::Rgb;
 use bytemuck::{Pod, Zeroable};
 use cryptomatte::ObjectSums;
 use glam::{DVec3, Vec2, Vec3};
+use lobes::LobeSums;
 use std::sync::Mutex;
 use walks::WalkSums;
 
@@ -43,12 +46,15 @@ struct Planes {
     pub primvars: usize,
     /// AOVs of lights.
     pub lights: usize,
+    /// Light by the lobe of the first surface.
+    pub lobes: bool,
 }
 
 impl Planes {
     /// Planes for the AOVs in `names`.
     fn from_names(names: &[String]) -> Self {
-        let has = |wanted: &[&str]| names.iter().any(|n| wanted.contains(&n.as_str()));
+        let parts: Vec<&str> = names.iter().flat_map(|name| parts_of(name).unwrap_or(vec![name])).collect();
+        let has = |wanted: &[&str]| parts.iter().any(|part| wanted.contains(part));
         Self {
             geometry: has(&planes::GEOMETRY),
             motion: has(&[planes::MOTION]),
@@ -60,6 +66,7 @@ impl Planes {
             objects: has(&["cryptoObject"]),
             primvars: names.iter().filter(|name| name.starts_with(PRIMVAR_AOV)).count(),
             lights: names.iter().filter(|n| n.starts_with(LIGHT_AOV)).count(),
+            lobes: has(&LOBE_AOVS),
         }
     }
 }
@@ -152,6 +159,7 @@ pub struct Tile {
     primvars: Vec<Vec3>,
     /// Per pixel, of each AOV of lights.
     lights: Vec<Rgb>,
+    lobes: Vec<LobeSums>,
 }
 
 impl Tile {
@@ -176,6 +184,7 @@ impl Tile {
             objects: vec![ObjectSums::NONE; on(planes.objects)],
             primvars: vec![Vec3::ZERO; n * planes.primvars],
             lights: vec![Rgb::ZERO; n * planes.lights],
+            lobes: vec![[Rgb::ZERO; LOBE_AOVS.len()]; on(planes.lobes)],
         }
     }
 
@@ -237,6 +246,17 @@ impl Tile {
         of_pixel.zip(sums).for_each(|(sum, light)| *sum += *light);
     }
 
+    /// Sums by lobe that a sample has to have.
+    pub fn lobe_aovs(&self) -> usize {
+        if self.lobes.is_empty() { 0 } else { LOBE_AOVS.len() }
+    }
+
+    /// Adds what a sample of pixel `i` shows by the lobe of the first surface.
+    pub fn add_lobes(&mut self, i: usize, sums: &[Rgb]) {
+        let of_pixel = self.lobes.get_mut(i).into_iter().flatten();
+        of_pixel.zip(sums).for_each(|(sum, light)| *sum += *light);
+    }
+
     /// Adds the first walk behind the camera ray of a sample of pixel `i`, whose first surface is at `depth`.
     pub fn add_walk(&mut self, i: usize, depth: f32, walk: &FirstWalk) {
         if let Some(walks) = self.walks.get_mut(i) {
@@ -269,7 +289,8 @@ fn check_memory(data_window: DataWindow, planes: Planes) -> Result<()> {
         + on(planes.walks, size_of::<WalkSums>())
         + on(planes.objects, size_of::<ObjectSums>())
         + planes.primvars * size_of::<Vec3>()
-        + planes.lights * size_of::<Rgb>();
+        + planes.lights * size_of::<Rgb>()
+        + on(planes.lobes, size_of::<LobeSums>());
     let (width, height) = (data_window.width(), data_window.height());
     let bytes = width as usize * height as usize * per_pixel;
     Vec::<u8>::new().try_reserve_exact(bytes).map_err(|_| {

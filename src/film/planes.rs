@@ -67,6 +67,10 @@ impl Film {
         if self.planes.walks {
             planes.extend(self.walk_planes());
         }
+        if self.planes.lobes {
+            planes.extend(self.lobe_planes());
+        }
+        planes.extend(self.sums(&planes));
         planes.push(self.plane("sampleCount", 1, |t, i| [t.samples[i] as f32, 0.0, 0.0, 0.0]));
         planes.retain(|plane| plane.name == "color" || self.aovs.iter().any(|aov| *aov == plane.name));
         planes.extend(self.primvar_planes());

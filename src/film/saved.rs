@@ -33,7 +33,8 @@ impl Tile {
         to.array(&self.walks)?;
         to.array(&self.objects)?;
         to.array(&self.primvars)?;
-        to.array(&self.lights)
+        to.array(&self.lights)?;
+        to.array(&self.lobes)
     }
 
     fn load(&mut self, from: &mut Loader) -> io::Result<()> {
@@ -49,6 +50,7 @@ impl Tile {
         from.array(&mut self.walks)?;
         from.array(&mut self.objects)?;
         from.array(&mut self.primvars)?;
-        from.array(&mut self.lights)
+        from.array(&mut self.lights)?;
+        from.array(&mut self.lobes)
     }
 }

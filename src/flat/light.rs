@@ -113,6 +113,11 @@ pub struct Light {
     /// `UsdLux.BlackbodyTemperatureAsRgb(colorTemperature)`, resolved by the bridge.
     pub blackbody: [f32; 3],
     pub normalize: bool,
+    /// Factors of its effect on diffuse lobes and media, and on the others.
+    #[serde(skip_serializing_if = "is_one")]
+    pub diffuse: f32,
+    #[serde(skip_serializing_if = "is_one")]
+    pub specular: f32,
     pub shaping: Option<Shaping>,
     pub shape: LightShape,
     /// Category of what it lights, and of what casts its shadows ([`super::Mesh::categories`]); empty: everything.
@@ -133,6 +138,12 @@ pub struct Light {
     pub portals: Vec<Portal>,
 }
 
+// serde hands out references.
+#[allow(clippy::trivially_copy_pass_by_ref)]
+fn is_one(value: &f32) -> bool {
+    *value == 1.0
+}
+
 impl Default for Light {
     fn default() -> Self {
         Self {
@@ -146,6 +157,8 @@ impl Default for Light {
             color_temperature: 6500.0,
             blackbody: [1.0; 3],
             normalize: false,
+            diffuse: 1.0,
+            specular: 1.0,
             shaping: None,
             shape: LightShape::Sphere { radius: 0.5 },
             light_link: String::new(),

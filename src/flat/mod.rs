@@ -23,7 +23,9 @@ pub use mesh::{
 };
 pub use motion::{PointKeys, TransformKeys};
 pub use network::{ImageNode, Network, Node, Op, Tile, Wrap};
-pub use settings::{AOVS, EXTRA_AOVS, GUIDE_AOVS, LIGHT_AOV, MAX_NORMALS, PRIMVAR_AOV, RenderSettings, WALKS};
+pub use settings::{
+    AOVS, EXTRA_AOVS, GUIDE_AOVS, LIGHT_AOV, LOBE_AOVS, MAX_NORMALS, PRIMVAR_AOV, RenderSettings, WALKS, parts_of,
+};
 
 use serde::{Deserialize, Serialize};
 

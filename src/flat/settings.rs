@@ -7,8 +7,8 @@ pub const AOVS: [&str; 10] =
     ["alpha", "depth", "normal", "position", "albedo", "primId", "direct", "indirect", "subsurface", "variance"];
 
 /// AOVs written only where asked for: kinds of depth (along the ray, of a rasteriser), eye space, motion, light without a
-/// bounce and after one, samples per pixel, Cryptomatte of the objects.
-pub const EXTRA_AOVS: [&str; 9] = [
+/// bounce and after one, samples per pixel, Cryptomatte of the objects, light by the lobe of the first surface.
+pub const EXTRA_AOVS: [&str; 18] = [
     "distance",
     "deviceDepth",
     "Peye",
@@ -18,7 +18,53 @@ pub const EXTRA_AOVS: [&str; 9] = [
     "firstBounce",
     "sampleCount",
     "cryptoObject",
+    "directDiffuse",
+    "indirectDiffuse",
+    "directSpecular",
+    "indirectSpecular",
+    "directTransmission",
+    "indirectTransmission",
+    "diffuse",
+    "specular",
+    "transmission",
 ];
+
+/// Light by the lobe of the first surface: with `emission` and `subsurface` the beauty.
+pub const LOBE_AOVS: [&str; 6] = [
+    "directDiffuse",
+    "indirectDiffuse",
+    "directSpecular",
+    "indirectSpecular",
+    "directTransmission",
+    "indirectTransmission",
+];
+
+/// What an AOV is the sum of, named by itself or as a sum `emission+diffuse`: [`LOBE_AOVS`], `emission` and `subsurface`,
+/// or itself alone; `None`: it is no light of the image, or counts some twice.
+pub fn parts_of(aov: &str) -> Option<Vec<&str>> {
+    if ["direct", "indirect", "firstBounce"].contains(&aov) {
+        return Some(vec![aov]);
+    }
+    let mut parts = Vec::new();
+    for name in aov.split('+') {
+        let of_name: &[&str] = match name {
+            "direct" => &["emission", "directDiffuse", "directSpecular", "directTransmission"],
+            "firstBounce" => &["directDiffuse", "directSpecular", "directTransmission"],
+            "indirect" => &["indirectDiffuse", "indirectSpecular", "indirectTransmission"],
+            "diffuse" => &LOBE_AOVS[..2],
+            "specular" => &LOBE_AOVS[2..4],
+            "transmission" => &LOBE_AOVS[4..],
+            "emission" | "subsurface" => &[name],
+            one if LOBE_AOVS.contains(&one) => &[name],
+            _ => return None,
+        };
+        if of_name.iter().any(|part| parts.contains(part)) {
+            return None;
+        }
+        parts.extend(of_name);
+    }
+    Some(parts)
+}
 
 /// AOVs of lights are named this, and a light group, or a light: written only where asked for.
 pub const LIGHT_AOV: &str = "light_";
@@ -106,8 +152,8 @@ pub struct RenderSettings {
     pub rendering_color_space: String,
     /// Camera rays see area lights.
     pub lights_visible_to_camera: bool,
-    /// AOVs beside the beauty, each one of [`AOVS`], [`EXTRA_AOVS`] or [`GUIDE_AOVS`], or a primvar of the first surface
-    /// ([`PRIMVAR_AOV`] and its name); all of the first by default.
+    /// AOVs beside the beauty, each one of [`AOVS`], [`EXTRA_AOVS`] or [`GUIDE_AOVS`], a sum ([`parts_of`]), or a primvar
+    /// of the first surface ([`PRIMVAR_AOV`] and its name); all of the first by default.
     pub aovs: Vec<String>,
 }
 

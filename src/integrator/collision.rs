@@ -1,10 +1,12 @@
 //! Light at collisions: next-event estimation from within a medium, straight through matched boundaries and bent by
 //! smooth dielectric ones.
 
+use super::lobes::By;
 use super::manifold::{Crossing, Window};
 use super::nest::Nest;
 use super::shadow::{visibility, visibility_beyond};
 use super::{Bucket, add_to};
+use crate::bsdf::Response;
 use crate::film::Sample;
 use crate::light::{Choice, Emitter};
 use crate::math::{Rgb, mean};
@@ -21,6 +23,8 @@ pub(super) struct Into<'a> {
     pub sample: &'a mut Sample,
     /// Sums of AOVs of lights.
     pub groups: &'a mut [Rgb],
+    /// By [`crate::film::LOBES`].
+    pub lobes: &'a mut [Rgb],
 }
 
 /// Light sampled at the collisions of a walk.
@@ -35,6 +39,7 @@ pub(super) struct CollisionLight<'a> {
     /// Path throughput per unit of the walk's weight.
     pub scale: f32,
     pub bucket: Bucket,
+    pub by: By,
     /// The boundary that bends the light; `None`: matched.
     pub bent: Option<Bent<'a>>,
 }
@@ -114,7 +119,11 @@ impl CollisionLight<'_> {
     }
 
     fn give(&self, into: &mut Into, source: u32, light: Rgb) {
-        let light = self.scale * light;
+        let mut light = self.scale * light;
+        if self.by.told {
+            let by = Some(Response::Scattered);
+            light = self.by.sorted(&self.scene, self.bucket, by, source, light, into.lobes);
+        }
         add_to(into.sample, self.bucket, light);
         if !into.groups.is_empty() {
             self.scene.lights.sort(into.groups, source, light);

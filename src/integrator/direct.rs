@@ -222,7 +222,8 @@ impl Path<'_> {
         let visible = visibility(self.scene, light.light, o, light.wi, reach, origin, inside);
         let pdf = || guide.map_or(bsdf.pdf(wi), |guide| guide.pdf(bsdf.pdf(wi), light.wi));
         let weight = if light.delta { 1.0 } else { power_heuristic(light.pdf, pdf()) };
-        self.add(light.light, f * visible * light.radiance * (weight / light.pdf));
+        let by = self.response(bsdf, wi, f, false);
+        self.add_by(by, light.light, f * visible * light.radiance * (weight / light.pdf));
     }
 }
 

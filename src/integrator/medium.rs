@@ -4,7 +4,7 @@ use super::collision::{Bent, CollisionLight, Into, Refracted};
 use super::nest::Nest;
 use super::watch::drawn;
 use super::{Path, Previous};
-use crate::bsdf::{Boundary, Bsdf, Event, Side, Surface};
+use crate::bsdf::{Boundary, Bsdf, Event, Response, Side, Surface};
 use crate::guiding::exit::Exit;
 use crate::guiding::look::shares_by_kind;
 use crate::guiding::plan::{Plan, Walk};
@@ -134,6 +134,7 @@ impl<'a> Path<'a> {
     pub(super) fn collided(&mut self, instance: u32, p: Vec3, pdf: f32) {
         let lights = crate::guiding::LightsAt::One;
         self.previous = Previous::Sampled { p, n: None, pdf, lights };
+        self.by.last = Some(Response::Scattered);
         self.receiver = instance;
     }
 
@@ -143,7 +144,8 @@ impl<'a> Path<'a> {
         'a: 'b,
     {
         let (scene, instance, bent) = (self.scene, passage.instance, passage.bent);
-        Some(CollisionLight { scene, instance, around: around?, scale: 1.0, bucket: self.bucket_of_media(), bent })
+        let (bucket, by) = (self.bucket_of_media(), self.by);
+        Some(CollisionLight { scene, instance, around: around?, scale: 1.0, bucket, by, bent })
     }
 
     /// What MIS needs where the segment out of a bent boundary at `p` (walk space) meets a light.
@@ -200,7 +202,7 @@ impl<'a> Path<'a> {
             light,
             cp: kind == Walk::Cp,
             late: None,
-            into: Into { sample: &mut self.sample, groups: &mut *self.groups },
+            into: Into { sample: &mut self.sample, groups: &mut *self.groups, lobes: &mut *self.lobes },
             shadow_rays: 0,
         };
         let stats = &mut self.stats.walk;
@@ -269,7 +271,7 @@ impl<'a> Path<'a> {
             };
             followed
         };
-        let mut into = Into { sample: &mut self.sample, groups: &mut *self.groups };
+        let mut into = Into { sample: &mut self.sample, groups: &mut *self.groups, lobes: &mut *self.lobes };
         let shadow_rays = &mut self.stats.shadow_rays;
         let collide = |collision: &Collision, sampler: &mut Sampler| {
             if let Some(light) = &light {
@@ -299,7 +301,7 @@ impl<'a> Path<'a> {
         (wi.dot(exit.ng) > 0.0).then_some(())?;
         self.log_exit(cell, wi, pdf);
         self.throughput *= f / pdf;
-        self.bounce(exit, wi, false, pdf, lights)?;
+        self.bounce(exit, wi, false, pdf, lights, Some(Response::Scattered))?;
         self.roulette(sampler)
     }
 
@@ -318,13 +320,14 @@ impl<'a> Path<'a> {
         self.next_event(exit, &bsdf, lights, None, sampler);
         let chosen = bsdf.sample(sampler.next_1d(), sampler.next_2d())?;
         let wi = exit.frame.to_world(chosen.wi);
+        let by = self.response(&bsdf, chosen.wi, chosen.f, chosen.delta);
         self.throughput *= chosen.f / chosen.pdf;
         let outward = wi.dot(exit.ng) > 0.0;
         match chosen.event {
             Event::Reflect => (!outward).then_some(Some(wi)),
             _ => {
                 outward.then_some(())?;
-                self.bounce(exit, wi, chosen.delta, chosen.pdf, lights)?;
+                self.bounce(exit, wi, chosen.delta, chosen.pdf, lights, by)?;
                 Some(None)
             }
         }

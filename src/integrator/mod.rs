@@ -3,6 +3,7 @@
 
 mod collision;
 mod direct;
+mod lobes;
 mod log;
 mod manifold;
 mod medium;
@@ -15,7 +16,7 @@ mod watch;
 pub use log::WalkLog;
 pub use probe::probe;
 
-use crate::bsdf::{Boundary, BsdfSample, Event, Side, Surface};
+use crate::bsdf::{Boundary, BsdfSample, Event, Response, Side, Surface};
 use crate::camera::CameraRay;
 use crate::film::{FirstHit, OnSurface, Sample};
 use crate::guiding::{Guide, LightsAt};
@@ -27,6 +28,7 @@ use crate::subsurface::steps::WalkStats;
 use bytemuck::{Pod, Zeroable};
 use collision::Refracted;
 use glam::{Vec2, Vec3};
+use lobes::By;
 use nest::{Inside, Nest};
 
 /// Counts of one or many paths, for the statistics.
@@ -132,6 +134,7 @@ struct Path<'a> {
     previous: Previous,
     /// Nothing but mirrors since the camera: what it meets, the camera sees.
     looks: bool,
+    by: By,
     /// Share of the pixel that nothing has held up yet, over the probability of having come here; 0 once something has.
     seen: f32,
     inside: Nest,
@@ -149,10 +152,13 @@ struct Path<'a> {
     at: Vec2,
     /// Sums of AOVs of lights; empty where none is asked for.
     groups: &'a mut [Rgb],
+    /// By [`crate::film::LOBES`]; empty where none is asked for.
+    lobes: &'a mut [Rgb],
 }
 
 /// Radiance along a camera ray. Estimates may be negative where control variates are on; `log` takes what the walks
-/// have to teach, `groups` what each AOV of lights shows of the sample (empty: none is wanted).
+/// have to teach, `groups` what each AOV of lights shows of the sample, `lobes` what each of [`crate::film::LOBES`] does
+/// (empty: none is wanted).
 pub fn trace(
     scene: Moment,
     guide: &Guide,
@@ -162,13 +168,17 @@ pub fn trace(
     stats: &mut PathStats,
     log: &mut WalkLog,
     groups: &mut [Rgb],
+    lobes: &mut [Rgb],
 ) -> Sample {
     groups.fill(Rgb::ZERO);
+    lobes.fill(Rgb::ZERO);
     let (width, spread) = scene.camera.footprint();
     let cone = Cone { width, spread };
     let mut path = Path { o: ray.o, d: ray.d, t_max: ray.t_max, cone, ..Path::new(scene, guide, settings, stats) };
     path.log = Some(log);
     path.groups = groups;
+    path.by.told |= !lobes.is_empty();
+    path.lobes = lobes;
     if !scene.camera_within.is_empty() {
         path.inside = Nest::of(&scene, &scene.camera_within);
         // Radiance over the square of the index is what comes out of a medium: a sensor is not wet, its housing is.
@@ -180,6 +190,7 @@ pub fn trace(
     if !sample.color().is_finite() {
         path.stats.non_finite += 1;
         path.groups.fill(Rgb::ZERO);
+        path.lobes.fill(Rgb::ZERO);
         return Sample { direct: Rgb::ZERO, straight: Rgb::ZERO, indirect: Rgb::ZERO, subsurface: Rgb::ZERO, ..sample };
     }
     sample
@@ -201,6 +212,7 @@ impl<'a> Path<'a> {
             bucket: Bucket::Direct,
             previous: Previous::Camera,
             looks: true,
+            by: By::nothing(scene.lights.has_responses()),
             seen: 1.0,
             inside: Nest::OUTSIDE,
             cone: Cone::WIDE,
@@ -212,6 +224,7 @@ impl<'a> Path<'a> {
             drawn: false,
             at: Vec2::ZERO,
             groups: &mut [],
+            lobes: &mut [],
         }
     }
 }
@@ -291,21 +304,22 @@ impl Path<'_> {
 
         let chosen = chosen?;
         let wi = si.frame.to_world(chosen.wi);
+        let by = self.response(&bsdf, chosen.wi, chosen.f, chosen.delta);
         self.throughput *= chosen.f / chosen.pdf;
         match chosen.event {
             Event::PassThrough => self.pass_through(si),
             Event::Reflect => {
                 (wi.dot(si.ng) * outside_sign(si.side) > 0.0).then_some(())?;
-                self.bounce(si, wi, chosen.delta, chosen.pdf, lights)?;
+                self.bounce(si, wi, chosen.delta, chosen.pdf, lights, by)?;
                 self.roulette(sampler)
             }
             Event::Scatter => {
-                self.bounce(si, wi, chosen.delta, chosen.pdf, lights)?;
+                self.bounce(si, wi, chosen.delta, chosen.pdf, lights, by)?;
                 self.roulette(sampler)
             }
             Event::Transmit => {
                 (wi.dot(si.ng) * outside_sign(si.side) < 0.0).then_some(())?;
-                self.transmit(hit, si, coating, wi, chosen.delta, chosen.pdf, lights, sampler)
+                self.transmit(hit, si, coating, wi, chosen.delta, chosen.pdf, lights, by, sampler)
             }
             Event::EnterSubsurface => self.enter_medium(hit, si, coating, below(wi, si.ng), sampler),
         }
@@ -335,6 +349,7 @@ impl Path<'_> {
         delta: bool,
         pdf: f32,
         lights: LightsAt,
+        by: Option<Response>,
         sampler: &mut Sampler,
     ) -> Option<()> {
         let nest = self.crossed(si, coating)?;
@@ -348,23 +363,40 @@ impl Path<'_> {
             // Shadow rays pass it too, so what MIS knows of the segment's start still holds.
             Some(interior) if interior.boundary == Boundary::IndexMatched => self.pass_through(si),
             // Passing a medium that scatters counts where it is left.
-            _ if scattering.is_some() => self.turn(si, wi, delta, pdf, lights),
-            _ => self.bounce(si, wi, delta, pdf, lights),
+            _ if scattering.is_some() => self.turn(si, wi, delta, pdf, lights, by),
+            _ => self.bounce(si, wi, delta, pdf, lights, by),
         }
     }
 
     /// Sets up the next segment along `wi`, sampled at `si`.
-    fn bounce(&mut self, si: &Interaction, wi: Vec3, delta: bool, pdf: f32, lights: LightsAt) -> Option<()> {
+    fn bounce(
+        &mut self,
+        si: &Interaction,
+        wi: Vec3,
+        delta: bool,
+        pdf: f32,
+        lights: LightsAt,
+        by: Option<Response>,
+    ) -> Option<()> {
         if matches!(si.side, Side::Inside) && self.inside.contains(si.instance) {
             self.cross()?;
         } else {
             self.depth += 1;
         }
-        self.turn(si, wi, delta, pdf, lights)
+        self.turn(si, wi, delta, pdf, lights, by)
     }
 
     /// The same without counting it.
-    fn turn(&mut self, si: &Interaction, wi: Vec3, delta: bool, pdf: f32, lights: LightsAt) -> Option<()> {
+    fn turn(
+        &mut self,
+        si: &Interaction,
+        wi: Vec3,
+        delta: bool,
+        pdf: f32,
+        lights: LightsAt,
+        by: Option<Response>,
+    ) -> Option<()> {
+        self.turned(by);
         self.previous =
             if delta { Previous::Delta } else { Previous::Sampled { p: si.p, n: si.horizon(), pdf, lights } };
         (self.receiver, self.drawn) = (si.instance, true);
@@ -445,9 +477,17 @@ impl Path<'_> {
         self.sample.surface = Some(surface);
     }
 
-    /// Adds light of `source`, a light or GLOW.
+    /// Adds light of `source`, a light or GLOW, that the segment has met.
     fn add(&mut self, source: u32, light: Rgb) {
-        let light = self.throughput * light;
+        self.add_by(self.by.last, source, light);
+    }
+
+    /// Adds light that a vertex has sent this way.
+    fn add_by(&mut self, by: Option<Response>, source: u32, light: Rgb) {
+        let mut light = self.throughput * light;
+        if self.by.told {
+            light = self.by.sorted(&self.scene, self.bucket, by, source, light, self.lobes);
+        }
         add_to(&mut self.sample, self.bucket, light);
         if !self.groups.is_empty() {
             self.scene.lights.sort(self.groups, source, light);

@@ -74,7 +74,8 @@ pub fn probe(
         stats.shadow_rays += 1;
         let origin = Some((si.instance, si.triangle));
         let (o, reach) = (si.origin(light.wi), light.reach());
-        let visible = unshadowed * visibility(scene, light.light, o, light.wi, reach, origin, &around);
+        let taken = unshadowed * scene.lights.response(light.light)[0];
+        let visible = taken * visibility(scene, light.light, o, light.wi, reach, origin, &around);
         record.irradiance += visible;
         record.directions.push((light.wi, mean(visible)));
         record.lights.push(LightRecord { light: light.light, visible: mean(visible), unshadowed: mean(unshadowed) });

@@ -5,7 +5,7 @@ use super::collision::CollisionLight;
 use super::medium::Passage;
 use super::nest::Inside;
 use super::{Cone, Path, Previous};
-use crate::bsdf::Boundary;
+use crate::bsdf::{Boundary, Response};
 use crate::math::Rgb;
 use crate::sampling::sampler::Sampler;
 use crate::scene::{BoundaryHit, InstanceEnclosure};
@@ -33,8 +33,10 @@ impl Path<'_> {
         if lit && scene.has_light_shapes() {
             self.meet_lights_within(&enclosure, start.p, start.d, start.hit, &within);
         }
-        let (instance, surface, bucket) = (body.instance, body.surface, self.bucket_of_media());
-        let light = lit.then_some(CollisionLight { scene, instance, around: &within, scale: 1.0, bucket, bent: None });
+        let (instance, surface) = (body.instance, body.surface);
+        let (bucket, by) = (self.bucket_of_media(), self.by);
+        let light =
+            lit.then_some(CollisionLight { scene, instance, around: &within, scale: 1.0, bucket, by, bent: None });
         let passage = Passage { enclosure, instance, surface, bent: None, plan, medium, first: false };
         let (at, d, scattered) = self.sub_walk(&passage, start, light, sampler)?;
         self.o = passage.enclosure.to_render(start.p);
@@ -46,6 +48,7 @@ impl Path<'_> {
             self.be_scattered();
             // Without light at collisions what the walk meets is its own alone.
             self.previous = Previous::Delta;
+            self.by.last = Some(Response::Scattered);
             // Lights with shadow rules are all those of next-event estimation: what they shine through would have to be
             // asked from here, and the way to the next surface is behind the path.
             self.drawn = false;

@@ -43,6 +43,9 @@ impl Lights {
             }
         }
         compiled.plant();
+        if compiled.responses.iter().all(|response| *response == [1.0; 2]) {
+            compiled.responses.clear();
+        }
         compiled
     }
 
@@ -75,6 +78,7 @@ impl Lights {
         }
         self.paths.push(path.to_owned());
         self.camera_visible.push(prim.camera_visible);
+        self.responses.push([prim.diffuse, prim.specular]);
         self.lights.push(light);
     }
 }

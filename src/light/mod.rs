@@ -128,6 +128,9 @@ pub struct Lights {
     /// Of each that casts other shadows than those of everything. Empty where none does.
     shadows: Vec<Option<Shadow>>,
     groups: groups::Groups,
+    /// What each is to diffuse lobes and media, and to the others (`inputs:diffuse`, `inputs:specular`). Empty where all
+    /// are 1.
+    responses: Vec<[f32; 2]>,
 }
 
 impl Lights {
@@ -177,6 +180,16 @@ impl Lights {
     /// Domes with portals.
     pub fn with_portals(&self) -> usize {
         self.lights.iter().filter(|light| matches!(light, Light::Dome(dome) if dome.has_portals())).count()
+    }
+
+    /// Whether some light shines on some lobes more than on others.
+    pub fn has_responses(&self) -> bool {
+        !self.responses.is_empty()
+    }
+
+    /// Factors of what `source`, a light or [`GLOW`], is to diffuse lobes and media, and to the others.
+    pub fn response(&self, source: u32) -> [f32; 2] {
+        self.responses.get(source as usize).copied().unwrap_or([1.0; 2])
     }
 
     /// Lights that a ray which leaves the scene may see.

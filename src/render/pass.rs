@@ -170,6 +170,7 @@ fn render_tile(
     let shown = settings.aovs.iter().filter(|_| tile.shows_primvars());
     let primvars: Vec<&str> = shown.filter_map(|aov| aov.strip_prefix(PRIMVAR_AOV)).collect();
     let mut lights = vec![Rgb::ZERO; tile.light_aovs()];
+    let mut lobes = vec![Rgb::ZERO; tile.lobe_aovs()];
     for i in 0..(tile.width * tile.height) as usize {
         let (x, y) = (tile.x0 + (i as u32 % tile.width) as i32, tile.y0 + (i as u32 / tile.width) as i32);
         // A crop renders the pixels of the whole.
@@ -181,12 +182,14 @@ fn render_tile(
             let raster = Vec2::new(x as f32 + 0.5 + tent(u_filter.x), y as f32 + 0.5 + tent(u_filter.y));
             let time = scene.frozen.unwrap_or_else(|| sampler.time());
             let ray = scene.camera.ray(raster, u_lens, time);
-            let mut sample = trace(scene.at(time), guide, path, ray, &mut sampler, &mut stats, &mut log, &mut lights);
+            let (lights, lobes) = (&mut lights, &mut lobes);
+            let mut sample = trace(scene.at(time), guide, path, ray, &mut sampler, &mut stats, &mut log, lights, lobes);
             if let Some(surface) = sample.surface.filter(|_| tile.watches_motion()) {
                 sample.motion = scene.motion_vector(&surface);
             }
             tile.add(i, &sample);
-            tile.add_lights(i, &lights);
+            tile.add_lights(i, lights);
+            tile.add_lobes(i, lobes);
             if let Some(surface) = sample.surface.filter(|_| !primvars.is_empty()) {
                 tile.add_primvars(i, primvars.iter().map(|name| scene.primvar_at(&surface, name)));
             }

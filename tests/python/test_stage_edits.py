@@ -140,7 +140,7 @@ def test_an_edit_sends_only_what_it_touches(make_stage, name):
 
 
 def test_populate_from_nothing_sends_all(make_stage):
-    stage = make_stage(STAGE + 'def DiskLight "Odd"\n{\n    float inputs:diffuse = 0\n}\n')
+    stage = make_stage(STAGE + 'def DiskLight "Odd"\n{\n    rel light:filters = </F>\n}\n')
     core, flat = Core(), flatten(stage)
     populate(core, flat)
     assert synced(core) == dict.fromkeys(flat.prims, DirtyBits.ALL)

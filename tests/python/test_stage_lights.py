@@ -114,7 +114,6 @@ def test_damaged_values_become_defaults(flat):
 @pytest.mark.parametrize(
     ("kind", "body", "apis", "word"),
     [
-        ("RectLight", "    float inputs:diffuse = 0.5", "", "inputs:diffuse"),
         ("RectLight", "    rel light:filters = </F>", "", "light:filters"),
         ("DomeLight", "    rel portals = </F>", "", "portals"),
         ("DomeLight", '    token inputs:texture:format = "folded"', "", "plain colour"),
@@ -127,6 +126,11 @@ def test_what_is_not_rendered_is_said_once(flat, kind, body, apis, word):
     warnings = flat(light(kind, body, apis)).warnings
     assert len(warnings) == 1
     assert warnings[0][0] == "/L" and word in warnings[0][1]
+
+
+def test_factors_of_lobes(flat):
+    found = flat(light("DomeLight", "    float inputs:diffuse = 0.5\n    float inputs:specular = 1"))
+    assert found.prims["/L"]["diffuse"] == 0.5 and "specular" not in found.prims["/L"] and not found.warnings
 
 
 def test_defaults_of_unsupported_attributes_say_nothing(flat):

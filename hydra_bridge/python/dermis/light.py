@@ -38,6 +38,7 @@ def flatten_light(
         "type": "Light",
         "cameraVisible": reader.value(prim, "inputs:visibility:camera", domes_visible and is_dome),
         **emission(prim, kind, reader),
+        **response(prim, reader),
         "shaping": shaping(prim, reader),
         "shadow": shadow(prim, reader),
         "shape": shape(prim, kind, reader, textures),
@@ -67,6 +68,12 @@ def blackbody(temperature: float) -> Any:
     from pxr import UsdLux  # only where a temperature counts
 
     return UsdLux.BlackbodyTemperatureAsRgb(temperature)
+
+
+def response(prim: Usd.Prim, reader: Reader) -> Fields:
+    """Factors of its effect on diffuse and specular lobes, where they are not 1."""
+    factors = {name: reader.value(prim, f"inputs:{name}", 1.0) for name in ("diffuse", "specular")}
+    return {name: factor for name, factor in factors.items() if factor != 1.0}
 
 
 def shaping(prim: Usd.Prim, reader: Reader) -> Fields | None:
@@ -192,12 +199,9 @@ def pole(prim: Usd.Prim, kind: str, reader: Reader) -> str:
 
 
 def warn_ignored(prim: Usd.Prim, reader: Reader) -> None:
-    """One warning with everything of this light that is not rendered."""
-    ignored = [name for name in ("inputs:diffuse", "inputs:specular") if reader.value(prim, name, 1.0) != 1.0]
+    """A warning with what of this light is not rendered."""
     if targets(prim, "light:filters"):
-        ignored.append("light:filters")
-    if ignored:
-        reader.warn(prim, f"{', '.join(ignored)}: not supported yet; ignored")
+        reader.warn(prim, "light:filters: not supported yet; ignored")
 
 
 def is_shadow(attribute: Usd.Attribute) -> bool:

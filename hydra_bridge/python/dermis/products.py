@@ -6,7 +6,8 @@ from typing import Any
 
 from pxr import Usd
 
-from .aovs import AOVS, EXTRA_AOVS, GUIDE_AOVS, LIGHT_AOV, PRIMVAR
+from . import lpe
+from .aovs import AOVS, CELLS, EXTRA_AOVS, GUIDE_AOVS, LIGHT_AOV, PRIMVAR, SUMS, is_sum
 from .reading import Reader
 
 BEAUTY = "color"
@@ -27,15 +28,6 @@ RAW_SOURCES = {
     "motionVectors": "motionVector",
 } | {aov: aov for aov in (*AOVS, *EXTRA_AOVS, *GUIDE_AOVS)}
 """`sourceName` of sourceType `raw` and `intrinsic` -> AOV; the names of Hydra, RenderMan and dermis."""
-
-LPES = {
-    BEAUTY: ("C.*[LO]", "C.*", "C.*[<L.>O]", "C.*[O<L.>]", "C.*<L.>", "C.*L"),
-    "direct": ("C.?[LO]", "C.?[<L.>O]", "C.{0,1}[LO]"),
-    "emission": ("C[LO]", "C[OL]", "C[<L.>O]", "C[O<L.>]"),
-    "firstBounce": ("C.[LO]", "C.[OL]", "C.[<L.>O]", "C.[O<L.>]", "C.{1}[LO]"),
-    "subsurface": ("C<T'subsurface'>.*[LO]", "C<T'subsurface'>.*[<L.>O]", "C<TD>.*[LO]", "C<TD>.*[<L.>O]"),
-}
-"""Light path expressions that the renderer keeps apart, without blanks and quotes of one kind."""
 
 NOT_KEPT = {
     "velocity": "motionVector has the motion on the image",
@@ -137,7 +129,7 @@ def source_aov(var: Usd.Prim, reader: Reader) -> str | None:
         return source
     if name is None:
         # Written as a raw source by many exporters.
-        name = next((aov for aov, texts in LPES.items() if source in texts), None)
+        name = source if is_sum(source) else named_lpe(source)
     if name is None:
         why = NOT_KEPT.get(source, "it is no AOV of dermis")
         reader.warn(var, f"sourceName: '{source}' is not written: {why}")
@@ -146,20 +138,30 @@ def source_aov(var: Usd.Prim, reader: Reader) -> str | None:
 
 def lpe_aov(var: Usd.Prim, text: str, reader: Reader) -> str | None:
     plain = re.sub(r"\s+", "", text).replace('"', "'")
-    for aov, texts in LPES.items():
-        if plain in texts:
-            return aov
+    if found := named_lpe(plain):
+        return found
     if label := OF_LIGHT.match(plain):
         return LIGHT_AOV + label[1]
     # The name of the var says what it is for, where the expression has labels of another renderer.
-    if var.GetName() in LPES or var.GetName() == "indirect":
+    if var.GetName() in SUMS:
         reader.warn(
             var, f"sourceName: '{text}' is not among the light path expressions of dermis; its own is written"
         )
         return var.GetName()
-    known = ", ".join(f"{aov} {texts[0]}" for aov, texts in LPES.items())
-    reader.warn(var, f"sourceName: light path expression '{text}' is not written; there are {known}")
+    reader.warn(
+        var,
+        f"sourceName: light path expression '{text}' is not written; kept apart are C[LO], C<RD>[LO], C<RD>.+[LO], "
+        "C<RS>[LO], C<RS>.+[LO], C<TS>[LO], C<TS>.+[LO], C<TD>.*[LO], their sums, and C.*<L.'NAME'>",
+    )
     return None
+
+
+def named_lpe(text: str) -> str | None:
+    """The AOV that a light path expression means, if it is one that is kept apart."""
+    cells = lpe.cells_of(text)
+    if len(cells) == len(CELLS):
+        return BEAUTY
+    return lpe.sum_of(cells) if cells else None
 
 
 def related(prim: Usd.Prim, name: str) -> list[Usd.Prim]:

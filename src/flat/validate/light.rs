@@ -24,6 +24,8 @@ pub fn validate_light(path: &str, light: &mut Light, warnings: &mut Vec<Warning>
     report.clamp("inputs:color", &mut light.color, NOT_NEGATIVE, default.color);
     report.positive("inputs:colorTemperature", &mut light.color_temperature, default.color_temperature);
     report.clamp("inputs:colorTemperature (as colour)", &mut light.blackbody, NOT_NEGATIVE, default.blackbody);
+    report.clamp("inputs:diffuse", &mut light.diffuse, NOT_NEGATIVE, default.diffuse);
+    report.clamp("inputs:specular", &mut light.specular, NOT_NEGATIVE, default.specular);
     if let Some(shaping) = &mut light.shaping {
         check_shaping(shaping, &mut report);
     }

@@ -2,7 +2,7 @@
 
 use crate::{
     error::{Error, Result},
-    flat::{AOVS, EXTRA_AOVS, GUIDE_AOVS, LIGHT_AOV, MAX_NORMALS, PRIMVAR_AOV, RenderSettings, WALKS},
+    flat::{AOVS, EXTRA_AOVS, GUIDE_AOVS, LIGHT_AOV, MAX_NORMALS, PRIMVAR_AOV, RenderSettings, WALKS, parts_of},
     subdivision::MAX_LEVEL,
 };
 
@@ -99,7 +99,7 @@ impl RenderSettings {
         let known = [&AOVS[..], &EXTRA_AOVS[..], &GUIDE_AOVS[..]].concat();
         let named = |aov: &str| {
             let prefixed = |prefix| aov.strip_prefix(prefix).is_some_and(|name: &str| !name.is_empty());
-            prefixed(PRIMVAR_AOV) || prefixed(LIGHT_AOV)
+            prefixed(PRIMVAR_AOV) || prefixed(LIGHT_AOV) || parts_of(aov).is_some()
         };
         self.aovs.iter().filter(|aov| !named(aov)).try_for_each(|aov| check_token("aovs", aov, &known))
     }

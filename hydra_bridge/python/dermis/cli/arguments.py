@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from .. import color
-from ..aovs import AOVS, EXTRA_AOVS, GUIDE_AOVS, LIGHT_AOV, PRIMVAR
+from ..aovs import AOVS, EXTRA_AOVS, GUIDE_AOVS, LIGHT_AOV, PRIMVAR, is_sum
 from . import progress
 from .settings import COMPLEXITIES
 
@@ -21,12 +21,14 @@ Number = TypeVar("Number", int, float)
 
 
 class AovNames(tuple[str, ...]):
-    """Those that there are, and any primvar, light group or light."""
+    """Those that there are, and any primvar, light group or light, and sums."""
 
     def __contains__(self, name: object) -> bool:
         prefixes = (PRIMVAR, LIGHT_AOV)
-        named = isinstance(name, str) and name not in prefixes and name.startswith(prefixes)
-        return named or super().__contains__(name)
+        if not isinstance(name, str):
+            return False
+        named = name not in prefixes and name.startswith(prefixes)
+        return named or super().__contains__(name) or is_sum(name)
 
 
 def add_stage_arguments(parser: argparse.ArgumentParser) -> None:
@@ -194,8 +196,8 @@ def add_sampling_arguments(parser: argparse.ArgumentParser) -> None:
         choices=AovNames((*AOVS, *EXTRA_AOVS, *GUIDE_AOVS)),
         metavar="NAME",
         help=f"AOV to write (repeatable): {', '.join(AOVS)} (default: the stage's RenderVars, else all of these); only "
-        f"where asked for: {', '.join(EXTRA_AOVS)}; primvars:NAME of any primvar; {LIGHT_AOV}NAME of a light group or "
-        f"a light; for looking at guided walks: {', '.join(GUIDE_AOVS)}",
+        f"where asked for: {', '.join(EXTRA_AOVS)}; sums of light as emission+diffuse; "
+        f"primvars:NAME of any primvar; {LIGHT_AOV}NAME of a light group or a light; for looking at guided walks: {', '.join(GUIDE_AOVS)}",
     )
     group.add_argument(
         "--set",

@@ -231,6 +231,8 @@ def lights_of(flat: FlatStage) -> dict[str, Fields]:
     for path, prim in found.items():
         for name in ("lightLink", "shadowLink", "shadow"):
             require(not prim.get(name), path, name, "a collection or a rule")
+        for name in ("diffuse", "specular"):
+            require(prim.get(name, 1.0) == 1.0, path, f"inputs:{name}", "a factor")
         require(not (prim.get("shaping") or {}).get("ies"), path, "shaping:ies:file", "a profile")
         require(
             not prim["shape"].get("texture") or prim["shape"]["kind"] == "dome", path, "texture on a", "light"

@@ -1,0 +1,191 @@
+"""Light path expressions: which of the parts that the beauty falls into an expression means.
+
+An expression is a regular expression over events, from the camera to the light (OSL's language, as RenderMan,
+Arnold and Karma have it). It is asked about paths of each part: an expression that takes all of a part or nothing of
+it, in every part, is a sum of parts.
+"""
+
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cache
+from itertools import product
+
+from .aovs import CELLS, SUMS
+
+EVENTS = {
+    "d": ("R", "D", ""),
+    "g": ("R", "G", ""),
+    "c": ("R", "G", "coat"),
+    "t": ("T", "G", ""),
+    "b": ("T", "D", "subsurface"),
+    "v": ("V", "", ""),
+    "L": ("L", "", ""),
+    "l": ("L", "", "of a group"),
+    "O": ("O", "", ""),
+    "B": ("B", "", ""),
+}
+"""Events by a letter of their own: type, scattering, label. Coats are not kept apart: an expression that leaves them
+out is none of dermis'. S and G are one, as RenderMan and Arnold have S alone, Karma G alone."""
+
+FIRST = {"Diffuse": "d", "Specular": "gc", "Transmission": "t"}
+"""First events of the parts of a lobe."""
+
+LATER = "dgctb"
+LONG = 40
+"""Events of the longest paths that are asked about: more than any expression counts."""
+
+COUNT = re.compile(r"[*+?]|\{\d*,?\d*\}")
+MOST_REPEATS = 4
+"""Repetitions in an expression, none within another: matching stays quick."""
+
+
+class NotRead(ValueError):
+    """An expression of another language."""
+
+
+@cache
+def cells_of(text: str) -> tuple[str, ...]:
+    """Parts of the beauty that `text` means together; none where it means something that dermis does not keep apart."""
+    try:
+        taken = Reader(re.sub(r"\s+", "", text).replace('"', "'")).pattern().fullmatch
+    except (NotRead, re.error):
+        return ()
+    found = []
+    for cell in CELLS:
+        answers = {bool(taken(path)) for path in paths_of(cell)}
+        if len(answers) > 1:
+            return ()
+        found += [cell] if answers == {True} else []
+    return tuple(found)
+
+
+def sum_of(cells: tuple[str, ...]) -> str:
+    """The name of an AOV that is the sum of parts: as few names as may be."""
+    left, names = set(cells), []
+    for name, parts in sorted(SUMS.items(), key=lambda item: -len(item[1])):
+        if left.issuperset(parts):
+            names.append(name)
+            left.difference_update(parts)
+    return "+".join(names)
+
+
+def paths_of(cell: str) -> Iterator[str]:
+    """Paths of a part, up to three events after the first, and long ones. They end on lights: what glows counts as one."""
+    if cell == "emission":
+        firsts, later = [""], [""]
+    elif cell == "subsurface":
+        # Entry and exit at least: RenderMan counts it so, too.
+        firsts, later = ["b"], list(more())
+    else:
+        lobe = cell.removeprefix("direct").removeprefix("indirect")
+        firsts, later = list(FIRST[lobe]), [""] if cell.startswith("direct") else list(more())
+    return (first + rest + light for first in firsts for rest in later for light in "Ll")
+
+
+def more() -> Iterator[str]:
+    for count in (1, 2, 3):
+        yield from map("".join, product(LATER, repeat=count))
+    yield from (event * LONG for event in LATER)
+    yield from (pair * (LONG // 2) for pair in ("dg", "gd", "td", "bd"))
+
+
+Test = Callable[[tuple[str, str, str]], bool]
+
+
+@dataclass
+class Reader:
+    """Reads an expression into a pattern over letters of EVENTS, the camera left out."""
+
+    text: str
+    at: int = 0
+
+    def pattern(self) -> re.Pattern[str]:
+        camera = self.taken("C") or self.taken("<C.>") or self.taken("<C>")
+        if not camera:
+            raise NotRead(self.text)
+        pattern = self.choices()
+        if self.at < len(self.text) or len(re.findall(r"[*+]|,\}", pattern)) > MOST_REPEATS:
+            raise NotRead(self.text)
+        return re.compile(pattern)
+
+    def taken(self, word: str) -> bool:
+        found = self.text.startswith(word, self.at)
+        self.at += len(word) if found else 0
+        return found
+
+    def next(self) -> str:
+        if self.at >= len(self.text):
+            raise NotRead(self.text)
+        self.at += 1
+        return self.text[self.at - 1]
+
+    def choices(self) -> str:
+        pattern = ""
+        while self.at < len(self.text) and self.text[self.at] != ")":
+            if self.taken("|"):
+                pattern += "|"
+            elif self.taken("("):
+                group = self.choices()
+                if not self.taken(")") or (COUNT.match(self.text, self.at) and COUNT.search(group)):
+                    raise NotRead(self.text)
+                pattern += f"({group})"
+            else:
+                pattern += letters(self.event())
+            if count := COUNT.match(self.text, self.at):
+                pattern += count[0]
+                self.at = count.end()
+        return pattern
+
+    def event(self) -> Test:
+        """One event: a letter, a label, a set of events, or type, scattering and labels in angles."""
+        if self.taken("["):
+            inverse, tests = self.taken("^"), []
+            while not self.taken("]"):
+                tests.append(self.event())
+            return lambda event: any(test(event) for test in tests) != inverse
+        if self.taken("<"):
+            tests = []
+            while not self.taken(">"):
+                tests.append(self.field(len(tests)))
+            return lambda event: all(test(event) for test in tests)
+        if self.text.startswith("'", self.at):
+            return self.field(2)
+        letter = self.next()
+        place = next((i for i, known in enumerate(("RTVLOBA", "DGSs")) if letter in known), None)
+        if letter == ".":
+            return lambda event: True
+        if place is None:
+            raise NotRead(self.text)
+        return has(letter, place)
+
+    def field(self, place: int) -> Test:
+        """What an event in angles has in `place`, or its label, which may come early."""
+        if self.taken("["):
+            inverse, tests = self.taken("^"), []
+            while not self.taken("]"):
+                tests.append(self.field(place))
+            return lambda event: any(test(event) for test in tests) != inverse
+        if self.taken("'"):
+            end = self.text.find("'", self.at)
+            if end < 0:
+                raise NotRead(self.text)
+            label, self.at = self.text[self.at : end], end + 1
+            return has(label, 2)
+        letter = self.next()
+        if letter == ".":
+            return lambda event: True
+        if place > 1 or letter not in ("RTVLOBA", "DGSs")[place]:
+            raise NotRead(self.text)
+        return has(letter, place)
+
+
+def has(word: str, place: int) -> Test:
+    word = "G" if place == 1 and word == "S" else word
+    return lambda event: event[place] == word
+
+
+def letters(test: Test) -> str:
+    """Events that pass, as a class of characters; `(?!)`: none does."""
+    passed = "".join(letter for letter, event in EVENTS.items() if test(event))
+    return f"[{passed}]" if passed else "(?!)"

@@ -1,0 +1,81 @@
+//! By which lobes a path has come: layers of the image by those of the first vertex, lights that shine on some lobes
+//! more than on others by those of the last.
+
+use super::{Bucket, Path, Previous};
+use crate::bsdf::{Bsdf, Response};
+use crate::film::Lobe;
+use crate::math::Rgb;
+use crate::scene::Scene;
+use glam::Vec3;
+
+/// Of the path under way; `None` as long as nothing has turned it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct By {
+    /// Whether anyone asks; nothing is kept otherwise.
+    pub told: bool,
+    first: Option<Response>,
+    pub last: Option<Response>,
+}
+
+impl By {
+    pub fn nothing(told: bool) -> Self {
+        Self { told, first: None, last: None }
+    }
+
+    /// What of `light`, met by `by`, is there, added to the sums that show it.
+    pub fn sorted(
+        &self,
+        scene: &Scene,
+        bucket: Bucket,
+        by: Option<Response>,
+        source: u32,
+        light: Rgb,
+        sums: &mut [Rgb],
+    ) -> Rgb {
+        let (light, by) = match by {
+            None => (light, None),
+            Some(by) => {
+                let (taken, by) = by.to(scene.lights.response(source));
+                (light * taken, Some(by))
+            }
+        };
+        if sums.is_empty() {
+            return light;
+        }
+        // After a single vertex the first is the last one, with the share that this light has.
+        let (first, straight) = match bucket {
+            Bucket::Subsurface => return light,
+            Bucket::Direct => (by, true),
+            Bucket::Indirect => (self.first, false),
+        };
+        match first {
+            None => {}
+            Some(Response::Reflected { diffuse }) => {
+                Lobe::Diffuse.add(sums, straight, diffuse * light);
+                Lobe::Specular.add(sums, straight, (Rgb::ONE - diffuse) * light);
+            }
+            Some(Response::Transmitted) => Lobe::Transmission.add(sums, straight, light),
+            // Media that the camera sees are in the bucket above: met behind what turned the path inside clear glass
+            // around the camera, where that has no bounce of its own.
+            Some(Response::Scattered) => Lobe::Diffuse.add(sums, straight, light),
+        }
+        light
+    }
+}
+
+impl Path<'_> {
+    /// By what `bsdf` gives `f` from `wi`; `None` where nobody asks.
+    pub(super) fn response(&self, bsdf: &Bsdf, wi: Vec3, f: Rgb, delta: bool) -> Option<Response> {
+        self.by.told.then(|| bsdf.response(wi, f, delta))
+    }
+
+    /// The path goes on by `by`.
+    pub(super) fn turned(&mut self, by: Option<Response>) {
+        if self.by.told {
+            if matches!(self.previous, Previous::Camera) {
+                self.by.first = by;
+            }
+            self.by.last = by;
+        }
+    }
+}

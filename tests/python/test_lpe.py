@@ -1,0 +1,89 @@
+"""Light path expressions as others write them: which sums of layers they are here."""
+
+import time
+
+import pytest
+
+from dermis.aovs import CELLS, is_sum
+from dermis.lpe import cells_of, sum_of
+from dermis.products import named_lpe
+
+OF_OTHERS = {
+    # RenderMan: its documentation's table of per-channel expressions.
+    "C[<L.>O]": "emission",
+    "C<RD>[<L.>O]": "directDiffuse",
+    "C<RD>[DS]+[<L.>O]": "indirectDiffuse",
+    "C<RS>[<L.>O]": "directSpecular",
+    "C<RS>[DS]+[<L.>O]": "indirectSpecular",
+    "C<TD>.*[<L.>O]": "subsurface",
+    "C<TS>.*[<L.>O]": "transmission",
+    "CD2[<L.>O]": None,
+    # Arnold's built-in ones.
+    "C.*": "color",
+    "C[DSV]L": "firstBounce",
+    "C[DSV][DSVOB].*": "indirect+subsurface",
+    "C[LO]": "emission",
+    "C<RD>.*": "diffuse",
+    "C<RD>L": "directDiffuse",
+    "C<RD>[DSVOB].*": "indirectDiffuse",
+    "C<TS>.*": "transmission",
+    "C<TS>L": "directTransmission",
+    "C<TS>[DSVOB].*": "indirectTransmission",
+    "C<TD>.*": "subsurface",
+    "CV.*": None,
+    "CB": None,
+    "C<RD>A": None,
+    # Coats are not kept apart.
+    "C<RS[^'coat']>.*": None,
+    "C<RS'coat'>L": None,
+    # Karma: G where others have S.
+    "C<RD>.*L": "diffuse",
+    "C<RD>.+L": "indirectDiffuse",
+    "C<RG>L": "directSpecular",
+    "C<RG>.+L": "indirectSpecular",
+    "C<TG>.*[<L.><O>]": "transmission",
+    "CL": "emission",
+    "C.*O": None,
+    "unoccluded;C<RD>.*L": None,
+    # OSL.
+    "C<R[GS]>.*[LO]": "specular",
+    "C<T[GS]>.*[LO]": "transmission",
+    "C<.[GS]>.*[LO]": "specular+transmission",
+    "C(<RD>|<TD>).*[LO]": "diffuse+subsurface",
+    "C<T'subsurface'>.*[LO]": "subsurface",
+    'C<T"subsurface">.*[LO]': "subsurface",
+    "C [^D] L": "directSpecular+directTransmission",
+    "C.{0,1}[LO]": "direct",
+    "C.{2,}[LO]": "indirect+subsurface",
+    # Parts of what is kept apart.
+    "C<RD>.{0,5}[LO]": None,
+    "C<RD>.?.?.?.?.?[LO]": None,
+    "C<RS>+[LO]": None,
+    "C<RD>.*<L.'key'>": None,
+    "C<RD>.*[^O]": "diffuse",
+}
+
+
+@pytest.mark.parametrize("text", OF_OTHERS)
+def test_expressions_of_other_renderers(text):
+    assert named_lpe(text) == OF_OTHERS[text]
+
+
+@pytest.mark.parametrize(
+    "text", ["", "L", "C[", "C<RD", "C'", "C*L", "C<RD>**", "C)", "C(", "C<RD'x>L", "Cz"]
+)
+def test_what_is_no_expression(text):
+    assert cells_of(text) == ()
+
+
+def test_no_expression_takes_long():
+    start = time.perf_counter()
+    for text in ("C(.*)*B", "C.*.*.*.*B", "C.*.*.*.*.*.*B", "C((.+)+|D)+B", "C(.|.|.)*B"):
+        assert cells_of(text) == ()
+    assert time.perf_counter() - start < 10.0
+
+
+def test_sums_have_the_fewest_names():
+    assert sum_of(CELLS) == "direct+indirect+subsurface"
+    assert all(sum_of((cell,)) == cell for cell in CELLS)
+    assert is_sum("emission+diffuse") and not is_sum("diffuse+directDiffuse") and not is_sum("diffuse+albedo")
