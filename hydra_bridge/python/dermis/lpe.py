@@ -71,7 +71,7 @@ def sum_of(cells: tuple[str, ...]) -> str:
 
 
 def paths_of(cell: str) -> Iterator[str]:
-    """Paths of a part, up to three events after the first, and long ones. They end on lights: what glows counts as one."""
+    """Paths of a part, up to three events after the first, and long ones. They end on lights: what glows is one."""
     if cell == "emission":
         firsts, later = [""], [""]
     elif cell == "subsurface":

@@ -197,7 +197,8 @@ def add_sampling_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help=f"AOV to write (repeatable): {', '.join(AOVS)} (default: the stage's RenderVars, else all of these); only "
         f"where asked for: {', '.join(EXTRA_AOVS)}; sums of light as emission+diffuse; "
-        f"primvars:NAME of any primvar; {LIGHT_AOV}NAME of a light group or a light; for looking at guided walks: {', '.join(GUIDE_AOVS)}",
+        f"primvars:NAME of any primvar; {LIGHT_AOV}NAME of a light group or a light; "
+        f"for looking at guided walks: {', '.join(GUIDE_AOVS)}",
     )
     group.add_argument(
         "--set",
