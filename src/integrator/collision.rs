@@ -23,7 +23,7 @@ pub(super) struct Into<'a> {
     pub sample: &'a mut Sample,
     /// Sums of AOVs of lights.
     pub groups: &'a mut [Rgb],
-    /// By [`crate::film::LOBES`].
+    /// By [`crate::flat::LOBE_AOVS`].
     pub lobes: &'a mut [Rgb],
 }
 

@@ -152,12 +152,12 @@ struct Path<'a> {
     at: Vec2,
     /// Sums of AOVs of lights; empty where none is asked for.
     groups: &'a mut [Rgb],
-    /// By [`crate::film::LOBES`]; empty where none is asked for.
+    /// By [`crate::flat::LOBE_AOVS`]; empty where none is asked for.
     lobes: &'a mut [Rgb],
 }
 
 /// Radiance along a camera ray. Estimates may be negative where control variates are on; `log` takes what the walks
-/// have to teach, `groups` what each AOV of lights shows of the sample, `lobes` what each of [`crate::film::LOBES`] does
+/// have to teach, `groups` what each AOV of lights shows of the sample, `lobes` what each of [`crate::flat::LOBE_AOVS`] does
 /// (empty: none is wanted).
 pub fn trace(
     scene: Moment,
