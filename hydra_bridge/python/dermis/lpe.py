@@ -5,6 +5,7 @@ Arnold and Karma have it). It is asked about paths of each part: an expression t
 it, in every part, is a sum of parts.
 """
 
+import math
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -35,9 +36,7 @@ LATER = "dgctb"
 LONG = 40
 """Events of the longest paths that are asked about: more than any expression counts."""
 
-COUNT = re.compile(r"[*+?]|\{\d*,?\d*\}")
-MOST_REPEATS = 4
-"""Repetitions in an expression, none within another: matching stays quick."""
+COUNT = re.compile(r"[*+?]|\{(\d*)(,?)(\d*)\}")
 
 
 class NotRead(ValueError):
@@ -48,12 +47,12 @@ class NotRead(ValueError):
 def cells_of(text: str) -> tuple[str, ...]:
     """Parts of the beauty that `text` means together; none where it means something that dermis does not keep apart."""
     try:
-        taken = Reader(re.sub(r"\s+", "", text).replace('"', "'")).pattern().fullmatch
-    except (NotRead, re.error):
+        pattern = Reader(re.sub(r"\s+", "", text).replace('"', "'")).pattern()
+        answered = {cell: {len(path) in pattern(path, {0}) for path in paths_of(cell)} for cell in CELLS}
+    except (NotRead, RecursionError):
         return ()
     found = []
-    for cell in CELLS:
-        answers = {bool(taken(path)) for path in paths_of(cell)}
+    for cell, answers in answered.items():
         if len(answers) > 1:
             return ()
         found += [cell] if answers == {True} else []
@@ -92,22 +91,57 @@ def more() -> Iterator[str]:
 
 Test = Callable[[tuple[str, str, str]], bool]
 
+Pattern = Callable[[str, set[int]], set[int]]
+"""Where in a path a part of an expression may end that began at one of some places: sets, so that no expression takes
+long."""
+
+
+def one(test: Test) -> Pattern:
+    letters = frozenset(letter for letter, event in EVENTS.items() if test(event))
+    return lambda path, places: {i + 1 for i in places if path[i : i + 1] in letters}
+
+
+def sequence(parts: list[Pattern]) -> Pattern:
+    def ends(path: str, places: set[int]) -> set[int]:
+        for part in parts:
+            places = part(path, places)
+        return places
+
+    return ends
+
+
+def either(choices: list[Pattern]) -> Pattern:
+    return lambda path, places: set().union(*(choice(path, places) for choice in choices))
+
+
+def repeated(part: Pattern, least: int, most: float) -> Pattern:
+    def ends(path: str, places: set[int]) -> set[int]:
+        count = 0
+        while count < least and places != (places := part(path, places)):
+            count += 1
+        found, count = places, least
+        while places and count < most:
+            places = part(path, places) - found
+            found, count = found | places, count + 1
+        return found
+
+    return ends
+
 
 @dataclass
 class Reader:
-    """Reads an expression into a pattern over letters of EVENTS, the camera left out."""
+    """Reads an expression over EVENTS, the camera left out."""
 
     text: str
     at: int = 0
 
-    def pattern(self) -> re.Pattern[str]:
-        camera = self.taken("C") or self.taken("<C.>") or self.taken("<C>")
-        if not camera:
+    def pattern(self) -> Pattern:
+        if not (self.taken("C") or self.taken("<C.>") or self.taken("<C>")):
             raise NotRead(self.text)
         pattern = self.choices()
-        if self.at < len(self.text) or len(re.findall(r"[*+]|,\}", pattern)) > MOST_REPEATS:
+        if self.at < len(self.text):
             raise NotRead(self.text)
-        return re.compile(pattern)
+        return pattern
 
     def taken(self, word: str) -> bool:
         found = self.text.startswith(word, self.at)
@@ -120,22 +154,34 @@ class Reader:
         self.at += 1
         return self.text[self.at - 1]
 
-    def choices(self) -> str:
-        pattern = ""
+    def choices(self) -> Pattern:
+        choices: list[list[Pattern]] = [[]]
         while self.at < len(self.text) and self.text[self.at] != ")":
             if self.taken("|"):
-                pattern += "|"
-            elif self.taken("("):
-                group = self.choices()
-                if not self.taken(")") or (COUNT.match(self.text, self.at) and COUNT.search(group)):
-                    raise NotRead(self.text)
-                pattern += f"({group})"
+                choices.append([])
             else:
-                pattern += letters(self.event())
-            if count := COUNT.match(self.text, self.at):
-                pattern += count[0]
-                self.at = count.end()
-        return pattern
+                choices[-1].append(self.counted())
+        return either([sequence(parts) for parts in choices])
+
+    def counted(self) -> Pattern:
+        """An event or a group, with how often it comes."""
+        if self.taken("("):
+            part = self.choices()
+            if not self.taken(")"):
+                raise NotRead(self.text)
+        else:
+            part = one(self.event())
+        count = COUNT.match(self.text, self.at)
+        if not count:
+            return part
+        self.at = count.end()
+        if count[0] in ("*", "+", "?"):
+            return repeated(part, int(count[0] == "+"), 1 if count[0] == "?" else math.inf)
+        least, open_ended, most = count.groups()
+        if not least and not most:
+            raise NotRead(self.text)
+        top = int(most) if most else math.inf if open_ended else int(least)
+        return repeated(part, int(least or 0), top)
 
     def event(self) -> Test:
         """One event: a letter, a label, a set of events, or type, scattering and labels in angles."""
@@ -183,9 +229,3 @@ class Reader:
 def has(word: str, place: int) -> Test:
     word = "G" if place == 1 and word == "S" else word
     return lambda event: event[place] == word
-
-
-def letters(test: Test) -> str:
-    """Events that pass, as a class of characters; `(?!)`: none does."""
-    passed = "".join(letter for letter, event in EVENTS.items() if test(event))
-    return f"[{passed}]" if passed else "(?!)"
