@@ -54,10 +54,8 @@ impl By {
                 Lobe::Diffuse.add(sums, straight, diffuse * light);
                 Lobe::Specular.add(sums, straight, (Rgb::ONE - diffuse) * light);
             }
-            Some(Response::Transmitted) => Lobe::Transmission.add(sums, straight, light),
-            // Media that the camera sees are in the bucket above: met behind what turned the path inside clear glass
-            // around the camera, where that has no bounce of its own.
-            Some(Response::Scattered) => Lobe::Diffuse.add(sums, straight, light),
+            // Out of a medium that has not scattered what goes into the bucket above.
+            Some(Response::Transmitted | Response::Scattered) => Lobe::Transmission.add(sums, straight, light),
         }
         light
     }
