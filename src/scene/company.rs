@@ -265,7 +265,7 @@ mod tests {
     fn what_reaches_into_a_box_is_what_asking_every_triangle_finds() {
         let scene = sheet();
         let instance = &scene.instances[0];
-        let bounds = super::super::instances::render_bounds(instance);
+        let bounds = super::super::instances::render_bounds(std::slice::from_ref(instance))[0];
         let mut sampler = Sampler::new(3, 0, 0);
         let mut v = || Vec3::from_array(std::array::from_fn(|_| sampler.random()));
         let (mut found, n) = (0, 4000);

@@ -73,7 +73,7 @@ pub fn compile(flat: &FlatScene, kept: &mut Kept, warnings: &mut Vec<Warning>) -
     needs.count(flat, images, &camera, &instances, &surfaces, &lights);
     note_missing_primvars(flat, &instances, warnings);
 
-    let boxes: Vec<Aabb> = instances.iter().map(render_bounds).collect();
+    let boxes = render_bounds(&instances);
     let shapes: Vec<(u32, Aabb)> = lights.shapes().map(|(light, (min, max))| (light, Aabb { min, max })).collect();
     let moves = instances.iter().any(Instance::is_moving);
     let anything_moves = moves || camera.is_moving() || lights.is_moving();

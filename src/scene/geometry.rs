@@ -7,6 +7,7 @@ use super::image::ImageCache;
 use super::motion::{Deformation, Keys};
 use super::strands::Strands;
 use crate::flat::{self, AnyPrimvar, Interpolation, Orientation, Primvar, array::Element};
+use crate::math::Affine;
 use crate::subdivision::{self, Refinement};
 use glam::{DVec3, Mat3, Vec2, Vec3, Vec4};
 use rayon::prelude::*;
@@ -347,6 +348,14 @@ impl Geometry {
     /// Of all the time that the shutter is open; centred object space.
     pub fn bounds(&self) -> Aabb {
         self.deformation.as_ref().map_or_else(|| self.blas.bounds(), |deformation| deformation.bounds())
+    }
+
+    /// A box around all points under `m`, all of the time; closer with more `levels` of the tree (see `Blas::bounds_under`).
+    pub fn bounds_under(&self, m: &Affine, levels: u32) -> Aabb {
+        match &self.deformation {
+            None => self.blas.bounds_under(m, levels),
+            Some(deformation) => deformation.bounds().transform(m),
+        }
     }
 
     pub fn slot(&self, triangle: u32) -> usize {

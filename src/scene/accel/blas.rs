@@ -8,6 +8,7 @@ use super::lanes::Lanes;
 use super::pages;
 use super::traverse::{Tree, Visitor};
 use super::triangle::{Crossing, Leaf, Shear, WIDTH};
+use crate::math::Affine;
 use glam::Vec3;
 use rayon::prelude::*;
 use std::borrow::Borrow;
@@ -89,6 +90,14 @@ impl Blas {
             return any(&self.tree, leaves, Front(ray.d), ray, skip);
         }
         any(&self.tree, leaves, Both, ray, skip)
+    }
+
+    /// A box around the image of all triangles: that of the images of boxes `levels` below the root, which are turned one by
+    /// one, not as what is around them all.
+    pub fn bounds_under(&self, m: &Affine, levels: u32) -> Aabb {
+        let mut all = Aabb::EMPTY;
+        self.tree.boxes(levels, &mut |part| all = all.union(&part.transform(m)));
+        all
     }
 
     /// Object-space bounds, empty without triangles; at most a few roundings larger than the points'.

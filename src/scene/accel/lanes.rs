@@ -21,6 +21,7 @@ pub(super) trait Lanes: Copy {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Isa {
     Portable,
+    /// With the bit manipulations that came with it: the lanes of a mask are told apart by them.
     #[cfg(target_arch = "x86_64")]
     Avx2,
 }
@@ -28,7 +29,7 @@ pub(super) enum Isa {
 impl Isa {
     pub fn detect() -> Self {
         #[cfg(target_arch = "x86_64")]
-        if is_x86_feature_detected!("avx2") {
+        if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("bmi1") && is_x86_feature_detected!("bmi2") {
             return Self::Avx2;
         }
         Self::Portable
@@ -89,7 +90,7 @@ mod avx2 {
     use super::Lanes;
     use std::arch::x86_64::*;
 
-    /// One 256-bit register. Everything here is inlined into functions with `#[target_feature(enable = "avx2")]`.
+    /// One 256-bit register. Everything here is inlined into functions with `#[target_feature]`.
     ///
     /// SAFETY of every block below: the type is private to `accel`, and `Tree::walk` (the only place that names
     /// it outside tests) does so only where [`super::Isa::detect`] found AVX2. Loads and stores are unaligned

@@ -3,6 +3,7 @@
 use super::Ray;
 use super::aabb::Aabb;
 use super::lanes::Lanes;
+use glam::Vec3;
 
 /// Marks a [`Node::child`] as a leaf; the other bits are its index.
 pub(super) const LEAF: u32 = 1 << 31;
@@ -29,6 +30,12 @@ impl Node {
     /// Slots in use: the children fill them from the first on.
     pub fn count(&self) -> usize {
         self.child.iter().position(|&c| c == UNUSED).unwrap_or(8)
+    }
+
+    /// The child in `slot` and its box.
+    pub fn get(&self, slot: usize) -> (Aabb, u32) {
+        let corner = |side: usize| Vec3::from_array([0, 1, 2].map(|axis: usize| self.planes[axis][side][slot]));
+        (Aabb { min: corner(0), max: corner(1) }, self.child[slot])
     }
 
     pub fn set(&mut self, slot: usize, bounds: &Aabb, child: u32) {

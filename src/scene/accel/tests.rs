@@ -4,6 +4,7 @@ use super::blas::{Both, crossings};
 use super::lanes::{Isa, Portable};
 use super::triangle::{Leaf, Shear};
 use super::*;
+use crate::math::Affine;
 use crate::sampling::sampler::Sampler;
 use glam::{DVec3, Mat3};
 
@@ -303,4 +304,23 @@ fn trees_of_many_chunks_agree_with_brute_force() {
     let alone = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     let again = alone.install(|| blas(&triangles));
     assert_eq!(format!("{:?}", many.tree), format!("{:?}", again.tree), "another tree by one thread");
+}
+
+/// Turned one by one, the boxes of the tree are closer than that of the whole, and still hold every point.
+#[test]
+fn turned_bounds_hold_all_points() {
+    let random = &mut Sampler::new(9, 0, 0);
+    let turn = Mat3::from_rotation_x(0.6) * Mat3::from_rotation_z(0.7) * 3.0;
+    let m = Affine { linear: turn, inverse: turn.inverse(), translation: Vec3::new(1e3, -20.0, 0.3) };
+    for triangles in scenes().into_iter().chain([soup(4000, 0.02, random)]) {
+        let blas = blas(&triangles);
+        let whole = blas.bounds().transform(&m);
+        for levels in [1, 2] {
+            let bounds = blas.bounds_under(&m, levels);
+            assert!(bounds.half_area() <= whole.half_area() * (1.0 + 1e-5));
+            let finite = triangles.as_flattened().iter().filter(|p| p.is_finite());
+            finite.for_each(|&p| assert!(bounds.contains(m.point(p)), "{p}"));
+        }
+    }
+    assert!(Blas::build(&[], &[]).bounds_under(&m, 2).is_empty());
 }

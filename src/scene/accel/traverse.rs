@@ -94,6 +94,22 @@ impl Tree {
         size_of_val(self.nodes.as_slice())
     }
 
+    /// The boxes `levels` below the root, or of leaves above: together they hold everything.
+    pub fn boxes(&self, levels: u32, visit: &mut impl FnMut(Aabb)) {
+        self.boxes_below(0, levels, visit);
+    }
+
+    fn boxes_below(&self, node: u32, levels: u32, visit: &mut impl FnMut(Aabb)) {
+        let Some(node) = self.nodes.get(node as usize) else { return };
+        for (bounds, child) in (0..node.count()).map(|slot| node.get(slot)) {
+            if levels <= 1 || child & LEAF != 0 {
+                visit(bounds);
+            } else {
+                self.boxes_below(child, levels - 1, visit);
+            }
+        }
+    }
+
     /// The visitor comes back as the walk leaves it; by value, so that its fields can be registers.
     #[inline(always)]
     pub fn walk<V: Visitor>(&self, ray: &Ray, visitor: V) -> V {
@@ -102,16 +118,16 @@ impl Tree {
         }
         match self.isa {
             Isa::Portable => self.walk_lanes::<Portable, V>(ray, visitor),
-            // SAFETY: `isa` is Avx2 only where the processor has it.
+            // SAFETY: `isa` is Avx2 only where the processor has them.
             #[cfg(target_arch = "x86_64")]
             Isa::Avx2 => unsafe { self.walk_avx2(ray, visitor) },
         }
     }
 
     /// # Safety
-    /// The processor must have AVX2.
+    /// The processor must have AVX2, BMI1 and BMI2.
     #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2")]
+    #[target_feature(enable = "avx2,bmi1,bmi2")]
     unsafe fn walk_avx2<V: Visitor>(&self, ray: &Ray, visitor: V) -> V {
         self.walk_lanes::<super::lanes::Avx2, V>(ray, visitor)
     }
