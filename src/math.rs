@@ -17,12 +17,20 @@ pub fn mean(c: Rgb) -> f32 {
     (c.x + c.y + c.z) * (1.0 / 3.0)
 }
 
+/// Below it exp rounds to 0 in f32, which half of the smallest positive number, e^-103.97, does.
+const VANISHES: f32 = -104.0;
+
+/// As the library's, which takes three times as long to say that nothing is left: in dense media most often.
+pub fn exp1(x: f32) -> f32 {
+    if x < VANISHES { 0.0 } else { x.exp() }
+}
+
 /// Per component; of a grey one, once.
 pub fn exp(v: Vec3) -> Vec3 {
     if v.x == v.y && v.y == v.z {
-        return Vec3::splat(v.x.exp());
+        return Vec3::splat(exp1(v.x));
     }
-    Vec3::new(v.x.exp(), v.y.exp(), v.z.exp())
+    Vec3::new(exp1(v.x), exp1(v.y), exp1(v.z))
 }
 
 /// Orthonormal right-handed frame; local z is `n`.
@@ -99,5 +107,19 @@ impl Affine {
     /// Normals go by the inverse transpose, which keeps outward outward under mirroring. Not unit.
     pub fn normal(&self, n: Vec3) -> Vec3 {
         self.inverse.transpose() * n
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn exp_is_that_of_the_library() {
+        for i in 0..60_000 {
+            let x = 100.0 - 0.01 * i as f32;
+            assert_eq!(exp1(x).to_bits(), x.exp().to_bits(), "{x}");
+        }
+        assert!(exp1(f32::NAN).is_nan() && exp1(f32::NEG_INFINITY) == 0.0);
     }
 }

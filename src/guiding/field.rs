@@ -14,6 +14,7 @@ use crate::medium::Medium;
 use crate::saved::{Loader, Saver, damaged};
 use crate::subsurface::technique::Techniques;
 use glam::{Vec2, Vec3};
+use rayon::prelude::*;
 use std::io;
 use std::sync::OnceLock;
 
@@ -63,6 +64,23 @@ const FADE: f64 = 0.5;
 
 /// The same of the sums for control variates: a regression hardly minds that shares have moved.
 const FADE_CONTROLS: f64 = 0.8;
+
+impl Region {
+    fn learn(&mut self, seen: &Sums, shares: Option<f64>, controls: bool) {
+        self.sums.fade(FADE);
+        if let Some(old) = &mut self.sums.controls {
+            old.fade(FADE_CONTROLS);
+        }
+        self.sums.merge(seen);
+        // The controls were seen under the shares that this pass had.
+        if let (true, Some(sums)) = (controls, &self.sums.controls) {
+            self.controls = Controls::fit(sums, &self.techniques.shares);
+        }
+        if let Some(classical) = shares {
+            learn(&mut self.techniques, &self.sums, classical);
+        }
+    }
+}
 
 impl Field {
     /// `parts`: of the lights, if it is learned which of them exits see.
@@ -137,23 +155,17 @@ impl Field {
         self.settings.exact || self.exits.is_some()
     }
 
-    /// Takes in what a pass has seen of `region`; `share`s and `controls` as asked for.
-    pub fn learn(&mut self, region: u32, seen: &Sums, shares: Option<f64>, controls: bool) {
+    /// Takes in what a pass has `seen`, by ascending region; `share`s and `controls` as asked for.
+    pub fn learn(&mut self, seen: &[(u32, &Sums)], shares: Option<f64>, controls: bool) {
         // Shares may move: the mixture's, not those of a walk of the literature.
         let shares = shares.filter(|_| self.settings.walk == Walk::Mixture);
-        let Some(region) = self.regions[region as usize].get_mut() else { return };
-        region.sums.fade(FADE);
-        if let Some(old) = &mut region.sums.controls {
-            old.fade(FADE_CONTROLS);
-        }
-        region.sums.merge(seen);
-        // The controls were seen under the shares that this pass had.
-        if let (true, Some(sums)) = (controls, &region.sums.controls) {
-            region.controls = Controls::fit(sums, &region.techniques.shares);
-        }
-        if let Some(classical) = shares {
-            learn(&mut region.techniques, &region.sums, classical);
-        }
+        let mut seen = seen.iter().peekable();
+        let started = self.regions.iter_mut().zip(0..).filter_map(|(region, i)| {
+            let (_, sums) = seen.next_if(|(at, _)| *at == i)?;
+            Some((region.get_mut()?, *sums))
+        });
+        let started: Vec<(&mut Box<Region>, &Sums)> = started.collect();
+        started.into_par_iter().for_each(|(region, sums)| region.learn(sums, shares, controls));
     }
 
     /// What regions and exits have learned; caches and slab normals are made again.

@@ -30,7 +30,8 @@ use exit::Exit;
 use field::Field;
 use glam::{Vec2, Vec3};
 use plan::{Plan, Walk, plans};
-use statistics::{RegionId, Statistics};
+use statistics::{RegionId, Statistics, Sums};
+use std::collections::BTreeMap;
 use std::io;
 
 /// How the lights of a point where a walk comes out are sampled.
@@ -216,10 +217,12 @@ impl Guide {
 
     /// Takes in the statistics of a pass.
     pub fn learn(&mut self, seen: &Statistics) {
-        for (at, sums) in &seen.walks {
+        let mut walks: BTreeMap<u32, Vec<(u32, &Sums)>> = BTreeMap::new();
+        seen.walks.iter().for_each(|(at, sums)| walks.entry(at.instance).or_default().push((at.region, sums)));
+        for (instance, seen) in walks {
             let classical = f64::from(self.classical).max(learn::CLASSICAL_FLOOR);
-            if let Some(field) = &mut self.fields[at.instance as usize] {
-                field.learn(at.region, sums, self.learn_shares.then_some(classical), self.controls);
+            if let Some(field) = &mut self.fields[instance as usize] {
+                field.learn(&seen, self.learn_shares.then_some(classical), self.controls);
             }
         }
         for (at, sums) in &seen.exits {

@@ -120,13 +120,12 @@ impl ControlSums {
     pub fn add(&mut self, ratios: &PerTechnique, estimate: Rgb) {
         let r = ratios.as_list().map(f64::from);
         self.walks += 1.0;
-        let mut at = 0;
+        let mut products = &mut self.products[..];
         for i in 0..TECHNIQUES {
             self.ratio[i] += r[i];
-            for j in 0..=i {
-                self.products[at + j] += r[i] * r[j];
-            }
-            at += i + 1;
+            let (row, below) = products.split_at_mut(i + 1);
+            row.iter_mut().zip(&r).for_each(|(sum, other)| *sum += r[i] * other);
+            products = below;
         }
         for c in 0..3 {
             let x = f64::from(estimate[c]);

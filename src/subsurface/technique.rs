@@ -303,7 +303,7 @@ impl Techniques {
         let mut p = PerTechnique::default();
         for c in 0..medium.channels {
             p.guided[c] = exp8(guided[c], largest);
-            p.classical[c] = ((plain[c] - largest) as f32).min(LARGEST).exp();
+            p.classical[c] = crate::math::exp1(((plain[c] - largest) as f32).min(LARGEST));
         }
         self.turn(medium, prefix, at, &mut p);
         for c in medium.channels..3 {
