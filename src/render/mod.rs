@@ -1,6 +1,7 @@
 //! Rendering: passes over the tiles of the film until samples, time or a stop say it is over.
 
 mod adaptive;
+mod areas;
 mod bodies;
 mod checkpoint;
 mod pass;

@@ -3,6 +3,7 @@
 //! Points are spread uniformly over the boundary, which reaches the back of an ear that no walk has found yet, or
 //! found as the paper does, where camera paths enter and where classical walks come out.
 
+use super::areas::Areas;
 use super::bodies::{Body, needs_records, share_records};
 use crate::flat::RenderSettings;
 use crate::guiding::cache::Record;
@@ -14,13 +15,12 @@ use crate::light::Parts;
 use crate::math::{Frame, Rgb};
 use crate::medium::Medium;
 use crate::sampling::cosine_hemisphere;
-use crate::sampling::distribution::Distribution1D;
 use crate::sampling::sampler::Sampler;
-use crate::scene::{BoundaryHit, InstanceEnclosure, Moment, Scene};
+use crate::scene::{BoundaryHit, Instance, InstanceEnclosure, Moment, Scene};
 use crate::subsurface::kernel::diffusion_length;
 use crate::subsurface::steps::{Start, WalkEnd, WalkStats};
 use crate::subsurface::walk::{Along, walk};
-use glam::{Vec2, Vec3};
+use glam::{Mat3, Vec2, Vec3};
 use rayon::prelude::*;
 
 /// Apart from the samples of the image.
@@ -119,8 +119,7 @@ struct BoundaryOf<'a> {
     scene: Moment<'a>,
     instance: u32,
     enclosure: InstanceEnclosure<'a>,
-    triangles: Vec<u32>,
-    areas: Distribution1D,
+    areas: Areas,
     medium: Medium,
     plan: Plan,
     /// -1 where the mesh is inside out.
@@ -130,15 +129,12 @@ struct BoundaryOf<'a> {
 impl<'a> BoundaryOf<'a> {
     /// `None`: no plan needs to know this boundary.
     fn new(scene: Moment<'a>, guide: &Guide, instance: u32) -> Option<Self> {
-        let (of, placed) = (&scene.instances[instance as usize], scene.placed(instance));
-        let triangles: Vec<u32> =
-            (0..of.geometry.triangles.len() as u32).filter(|&triangle| needs_records(guide, of, triangle)).collect();
-        let (plan, medium) = guide.plan(of.surfaces + of.geometry.slot(*triangles.first()?) as u32)?;
-        let edges = |triangle: u32| {
-            let [a, b, c] = of.geometry.corners(triangle, scene.time).map(|p| placed.linear * p);
-            (a, (b - a).cross(c - a))
-        };
-        let areas = Distribution1D::new(triangles.iter().map(|&t| f64::from(0.5 * edges(t).1.length())))?;
+        let (of, linear) = (&scene.instances[instance as usize], scene.placed(instance).linear);
+        let wanted = |triangle: u32| needs_records(guide, of, triangle);
+        let all = 0..of.geometry.triangles.len() as u32;
+        let first = all.clone().find(|&triangle| wanted(triangle))?;
+        let (plan, medium) = guide.plan(of.surfaces + of.geometry.slot(first) as u32)?;
+        let areas = Areas::new(all.end, wanted, |triangle| area(of, &linear, scene.time, triangle))?;
         // Six times the signed volume, in object space: inside out if negative.
         let volume: f32 = (0..of.geometry.triangles.len() as u32)
             .map(|t| of.geometry.corners(t, scene.time))
@@ -150,7 +146,6 @@ impl<'a> BoundaryOf<'a> {
             enclosure: InstanceEnclosure::new(scene, instance),
             medium: medium.medium,
             plan: plan.clone(),
-            triangles,
             areas,
             outward: if volume < 0.0 { -1.0 } else { 1.0 },
         })
@@ -158,14 +153,15 @@ impl<'a> BoundaryOf<'a> {
 
     /// Records at points uniform over the surface.
     fn records_by_area(&self, guide: &Guide, seed: u32, count: u32) -> (Vec<Record>, PathStats) {
-        let area = (self.areas.sum() / f64::from(count)) as f32;
+        let (of, linear) = (&self.scene.instances[self.instance as usize], self.scene.placed(self.instance).linear);
+        let share = (self.areas.sum() / f64::from(count)) as f32;
         let record = |i: u32| {
             let mut sampler = Sampler::new(seed ^ SEED, self.instance, i);
             let mut stats = PathStats::default();
             let u = (f64::from(i) + f64::from(sampler.random())) / f64::from(count);
-            let triangle = self.triangles[self.areas.sample(u.min(1.0 - 1e-12)).0];
+            let triangle = self.areas.sample(u, |triangle| area(of, &linear, self.scene.time, triangle));
             let hit = uniform_point(self.instance, triangle, Vec2::new(sampler.random(), sampler.random()));
-            (self.probe(guide, &hit, area, &mut sampler, &mut stats), stats)
+            (self.probe(guide, &hit, share, &mut sampler, &mut stats), stats)
         };
         collect((0..count).into_par_iter().map(record))
     }
@@ -271,6 +267,12 @@ impl<'a> BoundaryOf<'a> {
         let [a, b] = [middle, middle + Vec2::X].map(|raster| camera.ray(raster, Vec2::splat(0.5), self.scene.time));
         (b.o + b.d * distance - a.o - a.d * distance).length()
     }
+}
+
+/// Of a triangle under the `linear` part of a placement.
+fn area(of: &Instance, linear: &Mat3, time: f32, triangle: u32) -> f64 {
+    let [a, b, c] = of.geometry.corners(triangle, time).map(|p| *linear * p);
+    f64::from(0.5 * (b - a).cross(c - a).length())
 }
 
 /// Uniform over a triangle (Heitz 2019 is not needed: no stratification to keep).
