@@ -12,7 +12,7 @@ SOURCES := pyproject.toml Cargo.toml Cargo.lock \
 # pyo3 asks this interpreter for its build settings, also under clippy and rustdoc.
 export PYO3_PYTHON := $(CURDIR)/$(BIN)/python
 
-.PHONY: render test stability needs scaling bench-lights bench-training bench-rays lint format clean
+.PHONY: render test stability needs scaling bench-lights bench-training bench-rays bench-steps flat-scenes lint format clean
 .DELETE_ON_ERROR:
 
 render: $(INSTALLED)
@@ -49,15 +49,23 @@ bench-training: $(TEST_INSTALLED)
 RAY_SCENES := $(firstword $(wildcard ../shared/scenes/backlit_bunny.usda) usd_scenes/orc.usda) \
     $(wildcard $(addprefix ../shared/scenes/,card_skull.usda creature_spot.usda envmap_dragon.usda))
 
-bench-rays: $(INSTALLED)
+FLAT_SCENES := $(foreach stage,$(RAY_SCENES),out/rays/$(basename $(notdir $(stage))).dermis)
+
+flat-scenes: $(INSTALLED)
 	mkdir -p out/rays
 	for stage in $(RAY_SCENES); do \
 	    $(BIN)/dermis flatten $$stage out/rays/$$(basename $$stage .usda).dermis || exit 1; \
 	done
+
+bench-rays: flat-scenes
 	$(BIN)/python -m pip install --disable-pip-version-check --quiet 'embreex>=4.4,<5' || \
 	    echo "bench-rays: pip cannot install embreex here" >&2
 	cargo bench --bench rays -- --embree "$$(find $(VENV)/lib -name 'libembree4*' | head -n 1)" \
-	    $(foreach stage,$(RAY_SCENES),out/rays/$(basename $(notdir $(stage))).dermis)
+	    $(FLAT_SCENES)
+
+# Nanoseconds per step of walks in the same bodies, and what of them sampling and the geometry take; some minutes.
+bench-steps: flat-scenes
+	cargo bench --bench steps -- $(FLAT_SCENES)
 
 lint: $(TEST_INSTALLED)
 	cargo fmt --all --check

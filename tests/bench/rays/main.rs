@@ -10,6 +10,7 @@
 
 mod embree;
 mod rays;
+#[allow(dead_code)] // bench-steps has use for the rest
 mod subject;
 
 use dermis::scene::accel::{Blas, Ray};

@@ -1,6 +1,6 @@
 //! What is traced: meshes of flattened scenes, one of them subdivided, a soup, and a cloud of instances.
 
-use dermis::flat::{self, Array, FlatScene, Instancer, Mesh};
+use dermis::flat::{self, Array, FlatScene, Instancer, Material, Mesh, PreviewSurface};
 use dermis::scene::{self, Kept, Scene};
 use glam::{Mat3, Mat4, Quat, Vec3};
 use std::collections::HashMap;
@@ -46,6 +46,21 @@ impl Subject {
     /// The mesh placed by `transforms`, once as it is if there are none. The camera stands at the origin, so that
     /// render space is the world's.
     pub fn placed(name: &str, mesh: TriangleMesh, transforms: Vec<Mat4>) -> Self {
+        Self::compiled(name, mesh, transforms, None)
+    }
+
+    /// The mesh with a grey medium behind a diffuse boundary.
+    pub fn filled(name: &str, mesh: TriangleMesh, mean_free_path: f32, albedo: f32) -> Self {
+        let material = PreviewSurface {
+            subsurface: 1.0,
+            subsurface_radius: [mean_free_path; 3],
+            subsurface_albedo: Some([albedo; 3]),
+            ..PreviewSurface::default()
+        };
+        Self::compiled(name, mesh, Vec::new(), Some(material))
+    }
+
+    fn compiled(name: &str, mesh: TriangleMesh, transforms: Vec<Mat4>, material: Option<PreviewSurface>) -> Self {
         let mut flat = FlatScene::default();
         let mut prim = Mesh {
             points: Vec::from_iter(mesh.points.iter().map(|p| p.to_array())).into(),
@@ -60,6 +75,10 @@ impl Subject {
             let transforms = Vec::from_iter(transforms.iter().map(rows)).into();
             flat.instancers
                 .insert("/instancer".into(), Instancer { transforms, visible: true, ..Instancer::default() });
+        }
+        if let Some(material) = material {
+            prim.material = "/material".into();
+            flat.materials.insert("/material".into(), Material::UsdPreviewSurface(material));
         }
         flat.meshes.insert("/mesh".into(), prim);
         flat.cameras.insert("/camera".into(), flat::Camera::default());
