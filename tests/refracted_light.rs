@@ -147,6 +147,37 @@ impl Case {
     }
 }
 
+/// A sun of no size, which the search for the refracting point finds, and one of two degrees, which collisions look for. The
+/// index is low: what is reflected inside is not searched for.
+#[test]
+fn single_directions_are_small_suns() {
+    let sun = |angle, intensity| vec![behind(LightShape::Distant { angle }, intensity)];
+    let case = |lights| Case {
+        name: "sphere, sun",
+        body: smooth(sphere(16, 0.7)),
+        medium: medium([0.9; 3], [0.5; 3], 0.0, 1.1),
+        lights,
+        walk: "classical",
+        samples: 512,
+    };
+    let solid_angle = std::f32::consts::TAU * (1.0 - 1_f32.to_radians().cos());
+    let single = case(sun(0.0, 10.0)).color("on", 512, 1);
+    let wide = case(sun(2.0, 10.0 / solid_angle)).color("on", 512, 2);
+    let mut tests = Vec::new();
+    for c in 0..3 {
+        let (single, wide) = (channel(&single, c), channel(&wide, c));
+        let mut differences: Vec<f64> = single.iter().zip(&wide).map(|(a, b)| a - b).collect();
+        // Where the boundary mirrors it, only the sun of some size is seen.
+        differences.sort_by(|a, b| a.abs().total_cmp(&b.abs()));
+        differences.truncate(differences.len() - 4);
+        let ((mean, error), (all, _)) = (mean_and_error(&differences), mean_and_error(&single));
+        eprintln!("channel {c}: {:+.4} +- {:.4} of {all:.4}", mean / all, error / all);
+        assert!(error < 0.02 * all, "+- {error} of {all} sees little");
+        tests.push((format!("channel {c}"), mean / error));
+    }
+    judge("single directions", tests);
+}
+
 /// Quarters and the whole, channel by channel: means of the pixels' differences over their spread.
 #[test]
 fn light_is_neither_lost_nor_counted_twice() {

@@ -194,7 +194,7 @@ fn errors(medium: &GuidedMedium, thickness: f32, guide: Guide, seed: u32) -> Opt
         }
         _ => {
             let along = if matches!(guide, Guide::Far) { fixed } else { Along::None };
-            walk(&recorder, &medium.medium, along, start, &mut sampler, stats, |_, _| None, |_, _| ())
+            walk(&recorder, &medium.medium, along, start, false, &mut sampler, stats, |_, _| None, |_, _| ())
         }
     };
     let WalkEnd::Boundary { p, weight, .. } = end else { return None };

@@ -20,7 +20,7 @@ fn run_slab(medium: &Medium, thickness: f32, beam: Beam, walks: u32, seed: u32) 
         let mut sampler = Sampler::new(seed, i >> 12, i & 4095);
         let d = beam.direction(&mut sampler);
         let start = Start { p: Vec3::ZERO, d, normal: -Vec3::Z, hit: true, weight: Rgb::ONE };
-        let end = walk(&slab, medium, Along::None, start, &mut sampler, &mut stats, |_, _| None, |_, _| ());
+        let end = walk(&slab, medium, Along::None, start, false, &mut sampler, &mut stats, |_, _| None, |_, _| ());
         let (r, t) = match end {
             WalkEnd::Boundary { hit: true, weight, .. } => (weight, Rgb::ZERO),
             WalkEnd::Boundary { hit: false, weight, .. } => (Rgb::ZERO, weight),
@@ -65,7 +65,7 @@ fn pass_dielectric(
     let mut start = Start { p: Vec3::ZERO, d: inside, normal: -Vec3::Z, hit: true, weight: Rgb::ONE };
     loop {
         let WalkEnd::Boundary { hit, p, d, weight, .. } =
-            walk(slab, medium, Along::None, start, sampler, stats, |_, _| None, |_, _| ())
+            walk(slab, medium, Along::None, start, false, sampler, stats, |_, _| None, |_, _| ())
         else {
             return (true, Rgb::ZERO);
         };

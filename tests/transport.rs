@@ -112,6 +112,7 @@ fn path_length(
         medium,
         Along::None,
         start,
+        false,
         &mut sampler,
         &mut stats,
         |_, _| None,

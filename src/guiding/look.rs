@@ -135,9 +135,9 @@ pub fn explain(scene: &Scene, settings: &RenderSettings) -> Vec<Explanation> {
         }
     );
     let bent_why = match settings.refracted_light.as_str() {
-        "auto" => format!("collisions in {} see small lights through its smooth boundary", media(bent)),
+        "auto" => format!("collisions in {} look for small lights through its smooth boundary", media(bent)),
         asked => format!(
-            "collisions see lights through smooth boundaries in {}; refractedLight={asked} asked for",
+            "collisions look for lights through smooth boundaries in {}; refractedLight={asked} asked for",
             media(bent)
         ),
     };

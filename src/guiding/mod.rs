@@ -2,8 +2,10 @@
 //!
 //! `plan` decides per medium, `cache` holds what light reaches the boundary (`cells`, filled by the renderer), `weights` and `normals`
 //! turn it into slab normals per region (`field`), or `receivers` into the paper's choice of one; `statistics` of the walks then
-//! move the shares (`learn`) and fit control variates (`control`). A guide does not change while a pass renders.
+//! move the shares (`learn`) and fit control variates (`control`). A guide does not change while a pass renders. `beams` say
+//! where light comes from within smooth dielectrics.
 
+pub mod beams;
 pub mod cache;
 mod cells;
 pub mod control;
@@ -25,6 +27,7 @@ use crate::light::Choice;
 use crate::saved::{Loader, Saver};
 use crate::scene::Scene;
 use crate::subsurface::technique::{GuidedMedium, Techniques};
+use beams::Beams;
 use control::Controls;
 use exit::Exit;
 use field::Field;
@@ -71,6 +74,8 @@ pub struct Guide {
     media: Vec<Option<GuidedMedium>>,
     /// By instance; `None`: nothing to know about its boundary. Boxed: of a million instances few have one.
     pub fields: Vec<Option<Box<Field>>>,
+    /// By instance; `None`, or empty: no collision looks for light there.
+    pub beams: Vec<Option<Box<Beams>>>,
     /// By instance, the one whose field it shares; empty: each has its own.
     pub homes: Vec<u32>,
     pub exit_lights: ExitLights,
@@ -103,6 +108,7 @@ impl Guide {
         Self {
             media: media.collect(),
             fields: scene.instances.iter().map(|_| None).collect(),
+            beams: Vec::new(),
             homes: Vec::new(),
             plans,
             light_samples: (EXIT_SAMPLES / scene.lights.len().max(1) as u32).max(1),
@@ -125,6 +131,11 @@ impl Guide {
         plan.needs_cache() || self.exit_lights == ExitLights::Learned
     }
 
+    /// Whether points of a boundary with this plan have to be looked at.
+    pub fn must_probe(&self, plan: &Plan) -> bool {
+        self.must_know(plan) || plan.bends
+    }
+
     /// Share of classical walks that a field starts with.
     pub fn start_fraction(&self, mixture: bool) -> f32 {
         if mixture { self.classical.max(normals::CLASSICAL_START) } else { self.classical }
@@ -133,6 +144,11 @@ impl Guide {
     /// The instance that has the field of `instance`. Walk spaces of those that share one are alike.
     fn home(&self, instance: u32) -> u32 {
         self.homes.get(instance as usize).copied().unwrap_or(instance)
+    }
+
+    /// The light within `instance` that nothing has scattered yet, if it is known.
+    pub fn beams_in(&self, instance: u32) -> Option<&Beams> {
+        self.beams.get(self.home(instance) as usize)?.as_deref()
     }
 
     fn region(&self, instance: u32, p: Vec3, n: Vec3) -> Option<RegionId> {
@@ -249,7 +265,8 @@ impl Guide {
     }
 
     pub fn memory(&self) -> usize {
-        self.fields.iter().flatten().map(|field| field.memory()).sum()
+        let beams: usize = self.beams.iter().flatten().map(|beams| beams.memory()).sum();
+        beams + self.fields.iter().flatten().map(|field| field.memory()).sum::<usize>()
     }
 }
 

@@ -32,7 +32,7 @@ pub struct Plan {
     pub walk: Walk,
     /// Weighted by the marginal over all techniques; else by the one that was drawn.
     pub exact: bool,
-    /// Light is sampled at collisions, through a boundary that bends it.
+    /// Collisions look for light through a boundary that bends it.
     pub bends: bool,
     pub why: String,
 }
@@ -78,17 +78,20 @@ pub fn plans(scene: &Scene, settings: &RenderSettings) -> Vec<Option<Plan>> {
             plan.why += "; driven: each walk has the medium of its entry";
         }
         plan.bends = bends(scene, settings, coating, &plan);
+        if plan.bends {
+            plan.why += "; collisions look for light through its smooth boundary";
+        }
         plans[index] = Some(plan);
     }
     plans
 }
 
-/// Whether light is sampled through the boundary of a medium that scatters and bends it into single directions. By itself
-/// only where lights are small, and not in walks of the mixture: those are for bodies so thick that light seldom gets
+/// Whether collisions look for light through the boundary of a medium that scatters and bends it into single directions. By
+/// itself only where lights are small, and not in walks of the mixture: those are for bodies so thick that light seldom gets
 /// to a collision straight, and each of theirs would cost a sum over techniques.
 fn bends(scene: &Scene, settings: &RenderSettings, coating: &Coating, plan: &Plan) -> bool {
     let scatters = coating.interior.is_some_and(|interior| interior.medium.scatters());
-    // The search knows one medium, one index and the mesh's own normals: where a network drives them, chance has the light.
+    // Looks know one medium, one index and the mesh's own normals: where a network drives them, chance has the light.
     let constant = coating.driven.is_none();
     let smooth = scatters && constant && coating.surface.smooth_interface().is_some();
     match settings.refracted_light.as_str() {

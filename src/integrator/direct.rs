@@ -7,7 +7,7 @@ use crate::bsdf::{Bsdf, Side};
 use crate::guiding::LightsAt;
 use crate::guiding::exit::Exit;
 use crate::interaction::Interaction;
-use crate::light::{Choice, Emitter, GLOW, LightSample, ShapeHit};
+use crate::light::{Choice, GLOW, LightSample, ShapeHit};
 use crate::math::Rgb;
 use crate::medium::Medium;
 use crate::sampling::power_heuristic;
@@ -82,37 +82,26 @@ impl Path<'_> {
     /// MIS weight of an area light met at `hit` along (o, d).
     pub(super) fn weight_of_hit(&self, light: u32, o: Vec3, d: Vec3, hit: &ShapeHit) -> Rgb {
         let lights = self.scene.lights_for(self.receiver);
-        self.light_weight(
-            |p, n, choice| lights.pdf_hit(light, p, n, choice, d, &seen_from(p, o, d, hit)),
-            |x| lights.emitter_at(light, x, o + d * hit.t, hit),
-            light,
-        )
+        self.light_weight(|p, n, choice| lights.pdf_hit(light, p, n, choice, d, &seen_from(p, o, d, hit)), light)
     }
 
     /// MIS weight of an infinite light met along `d`.
     pub(super) fn weight_of_escaped(&self, light: u32, d: Vec3) -> Rgb {
         let lights = self.scene.lights_for(self.receiver);
-        self.light_weight(
-            |p, n, choice| lights.pdf_escaped(light, p, n, choice, d),
-            |x| lights.emitter_towards(light, x, d),
-            light,
-        )
+        self.light_weight(|p, n, choice| lights.pdf_escaped(light, p, n, choice, d), light)
     }
 
     /// MIS weight of a light met by the segment; 0 where the camera must not see it, or the light is not for what sent
     /// the path this way.
-    fn light_weight(
-        &self,
-        light_pdf: impl Fn(Vec3, Option<Vec3>, Choice) -> f32,
-        emitter: impl Fn(Vec3) -> Option<Emitter>,
-        light: u32,
-    ) -> Rgb {
+    fn light_weight(&self, light_pdf: impl Fn(Vec3, Option<Vec3>, Choice) -> f32, light: u32) -> Rgb {
         if !self.scene.illuminates(light, self.receiver) {
             return Rgb::ZERO;
         }
         match self.previous {
             Previous::Delta => Rgb::ONE,
-            Previous::Refracted(last) => Rgb::splat(last.weight(self.scene, emitter)),
+            // No collision looks for the light of meshes.
+            Previous::Refracted(_) if self.scene.lights.is_mesh(light) => Rgb::ONE,
+            Previous::Refracted(last) => Rgb::splat(last.weight(self.guide)),
             Previous::Camera => {
                 let visible = self.settings.lights_visible_to_camera || self.scene.lights.camera_visible(light);
                 Rgb::splat(if visible { 1.0 } else { 0.0 })

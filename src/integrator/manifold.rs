@@ -1,15 +1,13 @@
-//! Straight to a light through a boundary that bends: the point of a smooth interface where the way from a point inside
-//! refracts exactly to a given target outside.
+//! To a light of a single direction through a boundary that bends: the point of a smooth interface where the way from a
+//! point inside refracts exactly into that direction.
 //!
 //! Newton's method on the half vector (Jakob and Marschner 2012, "Manifold Exploration"; Hanika et al. 2015, "Manifold
-//! Next Event Estimation"): with w from the point inside to the boundary and v from there to the target, both unit,
+//! Next Event Estimation"): with w from the point inside to the boundary and v from there to the light, both unit,
 //! Snell's law says that g = eta w - v is parallel to the normal. Every iterate is brought back to the boundary by a ray
-//! from the point inside, so that what is found can be seen from there. Where it starts and how it goes depends on the
-//! two ends alone: a path that came the same way by chance finds itself again, or learns that nobody else would have.
+//! from the point inside, so that what is found can be seen from there.
 
 use crate::bsdf::{Side, fresnel};
 use crate::interaction::Interaction;
-use crate::light::{Emitter, Place, SHORT};
 use crate::math::{Frame, Rgb, TAU};
 use crate::scene::{Moment, SurfaceHit};
 use glam::Vec3;
@@ -17,7 +15,7 @@ use glam::Vec3;
 /// Rays that one search may cast after its first. Those that succeed take three to five.
 const MAX_CASTS: u32 = 12;
 
-/// Tangent of the angle between the straight way to the target and other starts.
+/// Tangent of the angle between the straight way to the light and other starts.
 const BESIDE: f32 = 0.2;
 
 /// Steps between rays, in the plane of the last triangle.
@@ -35,27 +33,6 @@ const SAME: f32 = 2e-3;
 /// that of the mesh.
 const GRAZING: f32 = 0.0101;
 
-/// What is to be reached, in walk space (render space about the object's origin).
-#[derive(Debug, Clone, Copy)]
-pub(super) enum Target {
-    Point(Vec3),
-    /// Unit.
-    Direction(Vec3),
-}
-
-impl Target {
-    /// Unit direction from `p`, and 1 / distance.
-    fn seen_from(&self, p: Vec3) -> Option<(Vec3, f32)> {
-        match *self {
-            Target::Direction(v) => Some((v, 0.0)),
-            Target::Point(y) => {
-                let distance = (y - p).length();
-                (distance > 0.0).then(|| ((y - p) / distance, 1.0 / distance))
-            }
-        }
-    }
-}
-
 /// The smooth interface around an object, seen from within.
 #[derive(Clone, Copy)]
 pub(super) struct Window<'a> {
@@ -68,7 +45,7 @@ pub(super) struct Window<'a> {
     error: f32,
 }
 
-/// A boundary point on the way from x to the target, and its neighbourhood: a plane whose normal varies linearly.
+/// A boundary point on the way from x to the light, and its neighbourhood: a plane whose normal varies linearly.
 #[derive(Clone, Copy)]
 pub(super) struct Crossing {
     pub hit: SurfaceHit,
@@ -77,9 +54,8 @@ pub(super) struct Crossing {
     /// Unit, from x to p, and its length.
     pub d: Vec3,
     pub t: f32,
-    /// Unit, from p to the target, and 1 / distance.
+    /// Unit, to the light.
     pub v: Vec3,
-    closeness: f32,
     /// Of the triangle; its normal, outward, is not unit.
     edges: [Vec3; 2],
     ng: Vec3,
@@ -91,19 +67,13 @@ pub(super) struct Crossing {
 }
 
 impl Crossing {
-    /// How far from p a shadow ray to the target has to be free.
-    pub fn reach(&self) -> f32 {
-        self.closeness.recip() * SHORT
-    }
-
-    /// The point `s` and `t` edges away, as if the triangle went on; `None` where it cannot be seen from either end.
-    fn moved(&self, x: Vec3, target: &Target, s: f32, t: f32) -> Option<Self> {
+    /// The point `s` and `t` edges away, as if the triangle went on; `None` where it cannot be seen from x.
+    fn moved(&self, x: Vec3, s: f32, t: f32) -> Option<Self> {
         let p = self.p + s * self.edges[0] + t * self.edges[1];
         let normal = self.normal + s * self.slopes[0] + t * self.slopes[1];
-        let (v, closeness) = target.seen_from(p)?;
         let way = p - x;
         let (d, frame) = (way.try_normalize()?, Frame::from_normal(normal.try_normalize()?));
-        Some(Self { p, d, t: way.length(), v, closeness, normal, frame, ..*self })
+        Some(Self { p, d, t: way.length(), normal, frame, ..*self })
     }
 }
 
@@ -114,28 +84,20 @@ impl<'a> Window<'a> {
         Some(Self { scene, instance, eta, tint, error })
     }
 
-    /// A light's point or direction in walk space.
-    pub fn target(&self, emitter: &Emitter) -> Target {
-        match emitter.place {
-            Place::Point { y, .. } => Target::Point(y - self.scene.placed(self.instance).translation),
-            Place::Direction(v) => Target::Direction(v),
-        }
-    }
-
     /// Where the search begins: the boundary on the straight way from `x`, walk space.
-    pub fn start(&self, x: Vec3, target: &Target) -> Option<Crossing> {
-        self.cast(x, target.seen_from(x)?.0, target)
+    pub fn start(&self, x: Vec3, v: Vec3) -> Option<Crossing> {
+        self.cast(x, v, v)
     }
 
     /// The boundary in the direction `corner` of three that lie about that of `straight`: on bumps another start may find
     /// another way.
-    pub fn start_beside(&self, x: Vec3, target: &Target, straight: &Crossing, corner: usize) -> Option<Crossing> {
+    pub fn start_beside(&self, x: Vec3, straight: &Crossing, corner: usize) -> Option<Crossing> {
         let (frame, (sin, cos)) = (Frame::from_normal(straight.d), (TAU * corner as f32 / 3.0).sin_cos());
-        self.cast(x, (frame.n + BESIDE * (cos * frame.t + sin * frame.b)).normalize(), target)
+        self.cast(x, (frame.n + BESIDE * (cos * frame.t + sin * frame.b)).normalize(), straight.v)
     }
 
     /// The point that refracts; `None` where the search fails.
-    pub fn solve(&self, x: Vec3, target: &Target, start: Crossing) -> Option<Crossing> {
+    pub fn solve(&self, x: Vec3, start: Crossing) -> Option<Crossing> {
         let (mut at, mut scale) = (start, 1.0);
         let mut step = self.step(&at)?;
         let mut residual = self.residual(&at);
@@ -143,8 +105,8 @@ impl<'a> Window<'a> {
             if self.is_end(&at, step) {
                 return self.transmits(&at).then_some(at);
             }
-            let towards = self.ahead(x, target, &at, step, scale)?;
-            let next = self.cast(x, (towards - x).try_normalize()?, target)?;
+            let towards = self.ahead(x, &at, step, scale)?;
+            let next = self.cast(x, (towards - x).try_normalize()?, at.v)?;
             let remaining = self.residual(&next);
             if remaining < residual {
                 (at, residual, scale) = (next, remaining, 1.0);
@@ -162,14 +124,14 @@ impl<'a> Window<'a> {
 
     /// Where to look next: the solution in the neighbourhood of `at`, or, where that did not help before (`scale` below 1),
     /// a part of the way of the first step.
-    fn ahead(&self, x: Vec3, target: &Target, at: &Crossing, step: (f32, f32), scale: f32) -> Option<Vec3> {
-        let mut near = self.moved_by(x, target, at, step, scale)?;
+    fn ahead(&self, x: Vec3, at: &Crossing, step: (f32, f32), scale: f32) -> Option<Vec3> {
+        let mut near = self.moved_by(x, at, step, scale)?;
         if scale < 1.0 {
             return Some(near.p);
         }
         for _ in 0..PLANE_STEPS {
             let Some(step) = self.step(&near).filter(|step| !self.is_end(&near, *step)) else { break };
-            let Some(next) = self.moved_by(x, target, &near, step, 1.0) else { break };
+            let Some(next) = self.moved_by(x, &near, step, 1.0) else { break };
             if self.residual(&next) >= self.residual(&near) {
                 break;
             }
@@ -179,10 +141,10 @@ impl<'a> Window<'a> {
     }
 
     /// A step longer than the way inside says nothing of where it leads: it is cut to that.
-    fn moved_by(&self, x: Vec3, target: &Target, at: &Crossing, (s, t): (f32, f32), scale: f32) -> Option<Crossing> {
+    fn moved_by(&self, x: Vec3, at: &Crossing, (s, t): (f32, f32), scale: f32) -> Option<Crossing> {
         let length = (s * at.edges[0] + t * at.edges[1]).length();
         let scale = scale * at.t / length.max(at.t);
-        at.moved(x, target, scale * s, scale * t)
+        at.moved(x, scale * s, scale * t)
     }
 
     /// Whether `p`, walk space, is the point found.
@@ -190,7 +152,7 @@ impl<'a> Window<'a> {
         (found.p - p).length() <= (SAME * found.t).max(64.0 * self.error)
     }
 
-    fn cast(&self, x: Vec3, d: Vec3, target: &Target) -> Option<Crossing> {
+    fn cast(&self, x: Vec3, d: Vec3, v: Vec3) -> Option<Crossing> {
         let hit = self.scene.boundary_from_within(self.instance, x, d, f32::INFINITY)?;
         let instance = &self.scene.instances[self.instance as usize];
         let (geometry, m) = (&instance.geometry, &*self.scene.placed(self.instance));
@@ -198,7 +160,6 @@ impl<'a> Window<'a> {
         let [a, b, c] = geometry.corners(hit.triangle, self.scene.time);
         let edges = [m.vector(b - a), m.vector(c - a)];
         let p = m.vector(at([a, b, c]));
-        let (v, closeness) = target.seen_from(p)?;
         // Outward is where the way from inside leads, as `Scene::interaction` has it.
         let outward = |n: Vec3, way: Vec3| if n.dot(way) < 0.0 { -1.0 } else { 1.0 };
         let flat = m.normal((b - a).cross(c - a));
@@ -212,7 +173,7 @@ impl<'a> Window<'a> {
             }
         };
         let frame = Frame::from_normal(normal.try_normalize()?);
-        Some(Crossing { hit, p, d, t: hit.t, v, closeness, edges, ng, normal, slopes, frame })
+        Some(Crossing { hit, p, d, t: hit.t, v, edges, ng, normal, slopes, frame })
     }
 
     /// g = eta w - v, which a solution has along its normal.
@@ -232,8 +193,7 @@ impl<'a> Window<'a> {
         [0, 1].map(|k| {
             let edge = at.edges[k];
             let inside = edge.reject_from_normalized(at.d) / at.t;
-            let outside = -edge.reject_from_normalized(at.v) * at.closeness;
-            let change = self.eta * inside - outside - along_n * at.slopes[k];
+            let change = self.eta * inside - along_n * at.slopes[k];
             [change.dot(frame.t), change.dot(frame.b)]
         })
     }
@@ -254,7 +214,7 @@ impl<'a> Window<'a> {
         inside > GRAZING && outside > 0.0 && at.v.dot(at.ng) > 0.0 && at.d.dot(at.ng) > 0.0
     }
 
-    /// d omega at x / d omega at the crossing, of directions to the target: implicit differentiation of g parallel to n.
+    /// d omega at x / d omega at the crossing, of directions to the light: implicit differentiation of g parallel to n.
     pub fn spread(&self, at: &Crossing) -> f32 {
         let [[a, b], [c, d]] = self.derivative(at);
         let area = at.edges[0].cross(at.edges[1]);
@@ -267,21 +227,6 @@ impl<'a> Window<'a> {
         self.scene.interaction(&at.hit, at.d, Side::Inside)
     }
 
-    /// Solid-angle pdf at x of the direction to `at`, where the light's target is drawn as `emitter` says.
-    pub fn pdf(&self, at: &Crossing, emitter: &Emitter) -> f32 {
-        let per_direction = match emitter.place {
-            Place::Direction(_) => emitter.density,
-            Place::Point { normal, .. } => {
-                let cos = -normal.dot(at.v);
-                if cos <= 0.0 {
-                    return 0.0;
-                }
-                emitter.density / (cos * at.closeness * at.closeness)
-            }
-        };
-        per_direction / self.spread(at)
-    }
-
     /// Share of the radiance that crosses; the rest is reflected.
     pub fn transmitted(&self, at: &Crossing) -> f32 {
         1.0 - fresnel::dielectric(at.d.dot(at.frame.n), 1.0 / self.eta)
@@ -289,7 +234,20 @@ impl<'a> Window<'a> {
 
     /// What arrives inside of radiance 1 outside, as `Dielectric::sample_smooth` has it.
     pub fn radiance(&self, at: &Crossing) -> Rgb {
-        self.tint * (self.transmitted(at) * self.eta * self.eta)
+        self.radiance_of(self.transmitted(at))
+    }
+
+    /// The same where the share `transmitted` crosses.
+    pub fn radiance_of(&self, transmitted: f32) -> Rgb {
+        self.tint * (transmitted * self.eta * self.eta)
+    }
+
+    /// Where a path that comes to `exit` from within goes on outside, and the share that does.
+    pub fn refracted(&self, exit: &Interaction) -> Option<(Vec3, f32)> {
+        let n = -exit.frame.n;
+        let cos = exit.wo.dot(n);
+        let v = (cos > 0.0).then(|| fresnel::refract(exit.wo, n, 1.0 / self.eta)).flatten()?;
+        Some((v, 1.0 - fresnel::dielectric(cos, 1.0 / self.eta)))
     }
 }
 
@@ -358,16 +316,8 @@ pub(super) mod tests {
         uniform_sphere(glam::Vec2::new(sampler.random(), sampler.random()))
     }
 
-    fn find(window: &Window, x: Vec3, target: &Target) -> Option<Crossing> {
-        window.solve(x, target, window.start(x, target)?)
-    }
-
-    /// The target turned by `angle` radians at the crossing.
-    fn turned(target: &Target, at: &Crossing, axis: Vec3, angle: f32) -> Target {
-        match target {
-            Target::Direction(v) => Target::Direction((*v + angle * axis).normalize()),
-            Target::Point(y) => Target::Point(*y + axis * (angle / at.closeness)),
-        }
+    fn find(window: &Window, x: Vec3, v: Vec3) -> Option<Crossing> {
+        window.solve(x, window.start(x, v)?)
     }
 
     /// The Jacobian is that of the search itself, by central differences within a triangle.
@@ -381,13 +331,10 @@ pub(super) mod tests {
             while errors.len() < 500 {
                 let x = 0.6 * sampler.random() * uniform(&mut sampler);
                 let v = uniform(&mut sampler);
-                let near = sampler.random() < 0.5;
-                let target =
-                    if near { Target::Point(v * (2.5 + 2.0 * sampler.random())) } else { Target::Direction(v) };
-                let Some(at) = find(&window, x, &target) else { continue };
+                let Some(at) = find(&window, x, v) else { continue };
                 let (frame, h) = (Frame::from_normal(at.v), 2e-3);
                 let moved = |axis| {
-                    let ends = [h, -h].map(|h| find(&window, x, &turned(&target, &at, axis, h)));
+                    let ends = [h, -h].map(|h| find(&window, x, (v + h * axis).normalize()));
                     let [Some(a), Some(b)] = ends else { return None };
                     let within = a.hit.triangle == at.hit.triangle && b.hit.triangle == at.hit.triangle;
                     within.then(|| (a.d - b.d) / (2.0 * h))
@@ -413,18 +360,14 @@ pub(super) mod tests {
             while ways < 4000 {
                 let x = 0.6 * sampler.random() * uniform(&mut sampler);
                 let d = uniform(&mut sampler);
-                let by_chance = window.cast(x, d, &Target::Direction(d)).expect("closed");
+                let by_chance = window.cast(x, d, d).expect("closed");
                 let Some(v) = refract(-d, -by_chance.frame.n, 1.0 / ior) else { continue };
-                let target = Target::Point(by_chance.p + v * (1.0 + 2.0 * sampler.random()));
                 ways += 1;
-                let Some(found) = find(&window, x, &target) else { continue };
+                let Some(found) = find(&window, x, v) else { continue };
                 let bent = refract(-found.d, -found.frame.n, 1.0 / ior).expect("a solution transmits");
                 assert!((bent - found.v).length() < 1e-3, "waves {waves} ior {ior}: {bent} {}", found.v);
                 if window.is_at(&found, by_chance.p) {
                     same += 1;
-                    // As MIS asks from the other end: the same search, the same point.
-                    let again = find(&window, x, &target).expect("found before");
-                    assert_eq!(again.p, found.p);
                 }
             }
             let rate = same as f32 / ways as f32;

@@ -1,6 +1,7 @@
 //! Passing an object's inside: sub-walks from boundary to boundary until the light gets out.
 
-use super::collision::{Bent, CollisionLight, Into, Refracted};
+use super::bent::{Bent, Refracted};
+use super::collision::{CollisionLight, Into};
 use super::nest::Nest;
 use super::watch::drawn;
 use super::{Path, Previous};
@@ -25,8 +26,6 @@ pub(super) type Scattered = Option<(Vec3, f32)>;
 pub(super) struct Passage<'a> {
     pub enclosure: InstanceEnclosure<'a>,
     pub instance: u32,
-    /// Of the entry.
-    pub surface: u32,
     /// The boundary, where light is sampled through it.
     pub bent: Option<Bent<'a>>,
     pub plan: &'a Plan,
@@ -64,9 +63,11 @@ impl<'a> Path<'a> {
         let enclosure = InstanceEnclosure::new(scene, si.instance);
         let beside = self.inside.index_beside(si.instance);
         // The search knows the boundary in air.
-        let bent = if plan.bends && beside == 1.0 { Bent::new(scene, si.instance, si.surface) } else { None };
-        let (instance, surface, first) = (si.instance, si.surface, self.depth == 0);
-        let mut passage = Passage { enclosure, instance, surface, bent, plan, medium, first };
+        let beams = self.guide.beams_in(si.instance);
+        let bends = plan.bends && beside == 1.0;
+        let bent = if bends { Bent::new(scene, si.instance, si.surface, beams) } else { None };
+        let (instance, first) = (si.instance, self.depth == 0);
+        let mut passage = Passage { enclosure, instance, bent, plan, medium, first };
         let around = match boundary {
             Boundary::IndexMatched => Some(self.crossed(si, coating)?),
             Boundary::Dielectric if passage.bent.is_some() => Some(self.inside),
@@ -78,6 +79,7 @@ impl<'a> Path<'a> {
             self.meet_lights_within(&passage.enclosure, p, wi, entry, within);
         }
         let mut start = Start { p, d: wi, normal: si.ng, hit: entry, weight: Rgb::ONE };
+        let mut last = None;
         loop {
             let light = self.light_at_collisions(&passage, around.as_ref());
             let (at, d, scattered) = self.sub_walk(&passage, start, light, sampler)?;
@@ -98,13 +100,16 @@ impl<'a> Path<'a> {
                 Boundary::Diffuse => return self.leave_diffuse(&exit, passage.enclosure.point_of_hit(&at), sampler),
                 Boundary::Dielectric => {
                     let p = passage.enclosure.point(&at);
+                    last = self.way_from_light(&passage, scattered, last, p, d, start.p);
                     match self.meet_dielectric(&coating.surface, beside, &exit, p, sampler)? {
                         Some(reflected) => {
                             self.cross()?;
                             start = Start { p, d: reflected, normal: exit.ng, hit: at, weight: Rgb::ONE };
                         }
                         None => {
-                            self.remember(&passage, scattered, p);
+                            if let (Some(last), Some(bent)) = (last, &passage.bent) {
+                                self.previous = Previous::Refracted(last.out(bent, &exit));
+                            }
                             return Some(());
                         }
                     }
@@ -148,11 +153,22 @@ impl<'a> Path<'a> {
         Some(CollisionLight { scene, instance, around: around?, scale: 1.0, bucket, by, bent })
     }
 
-    /// What MIS needs where the segment out of a bent boundary at `p` (walk space) meets a light.
-    fn remember(&mut self, passage: &Passage, scattered: Scattered, p: Vec3) {
-        let (Some((x, pdf)), true) = (scattered, passage.bent.is_some()) else { return };
-        let (instance, surface) = (passage.instance, passage.surface);
-        self.previous = Previous::Refracted(Refracted { instance, surface, x, p, pdf });
+    /// What MIS needs where a path meets a light beyond a bent boundary: its way to `p` (walk space) along `d` since its last
+    /// collision, or since `start` where a collision before that is the `last`.
+    fn way_from_light(
+        &self,
+        passage: &Passage,
+        scattered: Scattered,
+        last: Option<Refracted>,
+        p: Vec3,
+        d: Vec3,
+        start: Vec3,
+    ) -> Option<Refracted> {
+        let bent = passage.bent.as_ref()?;
+        match scattered {
+            Some((x, pdf)) => bent.from(passage.instance, d, pdf, self.aim?).further(bent, (p - x).length()),
+            None => last?.further(bent, (p - start).length()),
+        }
     }
 
     /// One walk to the next boundary point: where, in which direction it arrives, and its last collision with the pdf of
@@ -202,13 +218,14 @@ impl<'a> Path<'a> {
             light,
             cp: kind == Walk::Cp,
             late: None,
-            into: Into { sample: &mut self.sample, groups: &mut *self.groups, lobes: &mut *self.lobes },
+            into: Into { sample: &mut self.sample, groups: &mut *self.groups, lobes: &mut *self.lobes, aim: None },
             shadow_rays: 0,
         };
         let stats = &mut self.stats.walk;
         let techniques = guide.techniques;
         let end = walk_mixture(&passage.enclosure, passage.medium, techniques, start, u, sampler, stats, &mut visitor);
         let (late, shadow_rays) = (visitor.late, visitor.shadow_rays);
+        self.aim = visitor.into.aim;
         self.stats.shadow_rays += shadow_rays;
         if logs {
             let ratios = end.densities.ratios();
@@ -271,7 +288,7 @@ impl<'a> Path<'a> {
             };
             followed
         };
-        let mut into = Into { sample: &mut self.sample, groups: &mut *self.groups, lobes: &mut *self.lobes };
+        let mut into = Into { sample: &mut self.sample, groups: &mut *self.groups, lobes: &mut *self.lobes, aim: None };
         let shadow_rays = &mut self.stats.shadow_rays;
         let collide = |collision: &Collision, sampler: &mut Sampler| {
             if let Some(light) = &light {
@@ -281,7 +298,9 @@ impl<'a> Path<'a> {
         let medium = &passage.medium.medium;
         let stats = &mut self.stats.walk;
         let segments = stats.steps;
-        let end = walk(enclosure, medium, slab, start, sampler, stats, late, collide);
+        let ahead = passage.bent.is_some();
+        let end = walk(enclosure, medium, slab, start, ahead, sampler, stats, late, collide);
+        self.aim = into.aim;
         if passage.first && self.guide.watched() {
             let segments = self.stats.walk.steps - segments;
             self.watch(passage.instance, &start, segments, followed, drawn(followed, start.normal));

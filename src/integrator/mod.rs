@@ -1,6 +1,7 @@
 //! The path integrator: camera ray in, radiance out. One unidirectional path with next-event estimation
 //! and multiple importance sampling at surfaces, at exits of media, and at collisions where light gets in.
 
+mod bent;
 mod collision;
 mod direct;
 mod lobes;
@@ -14,7 +15,7 @@ mod wade;
 mod watch;
 
 pub use log::WalkLog;
-pub use probe::probe;
+pub use probe::{beams_at, probe};
 
 use crate::bsdf::{Boundary, BsdfSample, Event, Response, Side, Surface};
 use crate::camera::CameraRay;
@@ -25,8 +26,8 @@ use crate::math::{Rgb, mean};
 use crate::sampling::sampler::Sampler;
 use crate::scene::{Coating, Moment, NOBODY, Origin, SurfaceHit};
 use crate::subsurface::steps::WalkStats;
+use bent::{Aim, Refracted};
 use bytemuck::{Pod, Zeroable};
-use collision::Refracted;
 use glam::{Vec2, Vec3};
 use lobes::By;
 use nest::{Inside, Nest};
@@ -135,6 +136,8 @@ struct Path<'a> {
     /// Nothing but mirrors since the camera: what it meets, the camera sees.
     looks: bool,
     by: By,
+    /// Of the last collision of a walk.
+    aim: Option<Aim>,
     /// Share of the pixel that nothing has held up yet, over the probability of having come here; 0 once something has.
     seen: f32,
     inside: Nest,
@@ -215,6 +218,7 @@ impl<'a> Path<'a> {
             previous: Previous::Camera,
             looks: true,
             by: By::nothing(scene.lights.has_responses()),
+            aim: None,
             seen: 1.0,
             inside: Nest::OUTSIDE,
             cone: Cone::WIDE,

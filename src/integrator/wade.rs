@@ -33,11 +33,11 @@ impl Path<'_> {
         if lit && scene.has_light_shapes() {
             self.meet_lights_within(&enclosure, start.p, start.d, start.hit, &within);
         }
-        let (instance, surface) = (body.instance, body.surface);
+        let instance = body.instance;
         let (bucket, by) = (self.bucket_of_media(), self.by);
         let light =
             lit.then_some(CollisionLight { scene, instance, around: &within, scale: 1.0, bucket, by, bent: None });
-        let passage = Passage { enclosure, instance, surface, bent: None, plan, medium, first: false };
+        let passage = Passage { enclosure, instance, bent: None, plan, medium, first: false };
         let (at, d, scattered) = self.sub_walk(&passage, start, light, sampler)?;
         self.o = passage.enclosure.to_render(start.p);
         if let Some((p, pdf)) = scattered {

@@ -72,7 +72,8 @@ impl Lights {
         }
         match (&light, &prim.shape) {
             (Light::Dome(_), _) => self.infinite.push(index),
-            (Light::Distant(distant), _) if !distant.is_delta() => self.infinite.push(index),
+            (Light::Distant(distant), _) if distant.is_delta() => self.single.push(index),
+            (Light::Distant(_), _) => self.infinite.push(index),
             (_, LightShape::Mesh { mesh }) => _ = self.meshes.insert(mesh.clone(), index),
             _ => {}
         }

@@ -17,7 +17,6 @@ mod distant;
 mod dome;
 mod ellipsoid;
 mod emission;
-mod emitter;
 mod groups;
 mod ies;
 mod lanes;
@@ -31,6 +30,7 @@ mod rect;
 mod shadow;
 mod shape;
 mod shaping;
+mod small;
 mod split;
 #[cfg(test)]
 mod tests;
@@ -42,12 +42,12 @@ pub use choice::{Choice, Draws, Parts};
 pub use compile::MeshTriangles;
 pub use distant::Distant;
 pub use dome::Dome;
-pub use emitter::{Emitter, Place};
 pub use groups::GLOW;
 pub use linking::{Categories, Members};
 pub use motion::LightsAt;
 pub use shadow::Shadow;
 pub use shape::{Shape, ShapeHit};
+pub use small::Single;
 
 use crate::math::Rgb;
 use glam::{Vec2, Vec3};
@@ -116,6 +116,8 @@ pub struct Lights {
     camera_visible: Vec<bool>,
     /// Domes and distant lights of positive angle.
     infinite: Vec<u32>,
+    /// Distant lights of a single direction.
+    single: Vec<u32>,
     /// Lights that are weighed one by one: all of few, else those that are not in the tree.
     beside: Vec<u32>,
     tree: Option<tree::Tree>,

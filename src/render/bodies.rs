@@ -14,7 +14,7 @@ const WORTH: f64 = 64.0;
 /// Whether a plan needs to know the boundary at `triangle`.
 pub(super) fn needs_records(guide: &Guide, instance: &Instance, triangle: u32) -> bool {
     let surface = instance.surfaces + instance.geometry.slot(triangle) as u32;
-    guide.plan(surface).is_some_and(|(plan, _)| guide.must_know(plan))
+    guide.plan(surface).is_some_and(|(plan, _)| guide.must_probe(plan))
 }
 
 /// Records from which on a body has a cache of its own: the least of a whole scene. Others share one with those that light
@@ -29,7 +29,7 @@ pub(super) struct Body {
 
 /// Bodies with a share of `records`, and how many instances are too small for any.
 pub(super) fn share_records(scene: &Scene, guide: &Guide, records: u32) -> (Vec<Body>, usize) {
-    if !guide.plans.iter().flatten().any(|plan| guide.must_know(plan)) {
+    if !guide.plans.iter().flatten().any(|plan| guide.must_probe(plan)) {
         return (Vec::new(), 0);
     }
     let sizes = apparent_sizes(scene, guide);

@@ -1,4 +1,4 @@
-//! Filling the boundary caches before the first pass.
+//! Filling the boundary caches before the first pass, and the volumes behind smooth dielectrics with beams of light.
 //!
 //! Points are spread uniformly over the boundary, which reaches the back of an ear that no walk has found yet, or
 //! found as the paper does, where camera paths enter and where classical walks come out.
@@ -6,11 +6,12 @@
 use super::areas::Areas;
 use super::bodies::{Body, needs_records, share_records};
 use crate::flat::RenderSettings;
+use crate::guiding::beams::{Beam, Beams};
 use crate::guiding::cache::Record;
 use crate::guiding::field::{Field, FieldSettings};
 use crate::guiding::plan::{Plan, Walk};
 use crate::guiding::{ExitLights, Guide};
-use crate::integrator::{PathStats, probe};
+use crate::integrator::{PathStats, beams_at, probe};
 use crate::light::Parts;
 use crate::math::{Frame, Rgb};
 use crate::medium::Medium;
@@ -33,6 +34,9 @@ const SAMPLES_PER_RECORD: u64 = 10;
 const ENOUGH_SAMPLES: u32 = 64;
 
 const RECORDS: std::ops::RangeInclusive<u64> = 8_000..=400_000;
+
+/// Points at which beams of light are looked for, over records: they follow no path.
+const BEAMS_PER_RECORD: u32 = 2;
 
 /// Pixels across a cell: some hundred walks start there within the first passes (mixture_3d.md section 5).
 const PIXELS: f32 = 6.0;
@@ -71,20 +75,43 @@ pub fn train(scene: &Scene, settings: &RenderSettings, guide: &mut Guide) -> Tra
     for body in shares {
         let instance = body.members[0];
         let Some(boundary) = BoundaryOf::new(scene.middle(), guide, instance) else { continue };
-        let (found, seen) = records(scene, settings, guide, &body);
-        trained.stats.add(&seen);
-        trained.records += found.len() as u64;
+        if boundary.plan.bends {
+            let (beams, seen) = beams(scene, settings, guide, &body);
+            trained.stats.add(&seen);
+            guide.beams.resize_with(scene.instances.len(), || None);
+            guide.beams[instance as usize] = Beams::build(&beams, &boundary.medium).map(Box::new);
+        }
         if body.members.len() > 1 {
             if guide.homes.is_empty() {
                 guide.homes = (0..scene.instances.len() as u32).collect();
             }
             body.members.iter().for_each(|&member| guide.homes[member as usize] = instance);
         }
+        if !guide.must_know(&boundary.plan) {
+            continue;
+        }
+        let (found, seen) = records(scene, settings, guide, &body);
+        trained.stats.add(&seen);
+        trained.records += found.len() as u64;
         let of_field = boundary.field_settings(settings, guide, found.len());
         let field = Field::build(&found, &boundary.medium, &parts, of_field);
         guide.fields[instance as usize] = Some(Box::new(field));
     }
     trained
+}
+
+/// Light that enters a body, seen from as many of those that share it as are worth a look.
+fn beams(scene: &Scene, settings: &RenderSettings, guide: &Guide, body: &Body) -> (Vec<Beam>, PathStats) {
+    let step = body.members.len().div_ceil(MOST_PROBED);
+    let probed: Vec<u32> = body.members.iter().copied().step_by(step).collect();
+    let count = (BEAMS_PER_RECORD * body.records).div_ceil(probed.len() as u32);
+    let (mut all, mut stats) = (Vec::new(), PathStats::default());
+    for boundary in probed.into_iter().filter_map(|instance| BoundaryOf::new(scene.middle(), guide, instance)) {
+        let (mut found, seen) = boundary.beams_by_area(settings.seed, count);
+        all.append(&mut found);
+        stats.add(&seen);
+    }
+    (all, stats)
 }
 
 /// The records of a body, from as many of those that share its cache as are worth a look.
@@ -153,17 +180,47 @@ impl<'a> BoundaryOf<'a> {
 
     /// Records at points uniform over the surface.
     fn records_by_area(&self, guide: &Guide, seed: u32, count: u32) -> (Vec<Record>, PathStats) {
-        let (of, linear) = (&self.scene.instances[self.instance as usize], self.scene.placed(self.instance).linear);
         let share = (self.areas.sum() / f64::from(count)) as f32;
         let record = |i: u32| {
             let mut sampler = Sampler::new(seed ^ SEED, self.instance, i);
             let mut stats = PathStats::default();
-            let u = (f64::from(i) + f64::from(sampler.random())) / f64::from(count);
-            let triangle = self.areas.sample(u, |triangle| area(of, &linear, self.scene.time, triangle));
-            let hit = uniform_point(self.instance, triangle, Vec2::new(sampler.random(), sampler.random()));
+            let hit = self.point(i, count, &mut sampler);
             (self.probe(guide, &hit, share, &mut sampler, &mut stats), stats)
         };
         collect((0..count).into_par_iter().map(record))
+    }
+
+    /// Light that enters at points uniform over the surface.
+    fn beams_by_area(&self, seed: u32, count: u32) -> (Vec<Beam>, PathStats) {
+        let area = (self.areas.sum() / f64::from(count)) as f32;
+        let beams = |i: u32| {
+            let mut sampler = Sampler::new(seed ^ SEED, self.instance, i);
+            let mut stats = PathStats::default();
+            let hit = self.point(i, count, &mut sampler);
+            let outward = self.outward(&hit);
+            let (enclosure, medium) = (&self.enclosure, &self.medium);
+            let found = beams_at(self.scene, enclosure, medium, &hit, outward, area, &mut sampler, &mut stats);
+            (found, stats)
+        };
+        let (found, seen): (Vec<Vec<Beam>>, Vec<PathStats>) = (0..count).into_par_iter().map(beams).unzip();
+        let mut stats = PathStats::default();
+        seen.iter().for_each(|s| stats.add(s));
+        (found.into_iter().flatten().collect(), stats)
+    }
+
+    /// Point `i` of `count`, stratified by area.
+    fn point(&self, i: u32, count: u32, sampler: &mut Sampler) -> BoundaryHit {
+        let u = (f64::from(i) + f64::from(sampler.random())) / f64::from(count);
+        let (of, linear) = (&self.scene.instances[self.instance as usize], self.scene.placed(self.instance).linear);
+        let triangle = self.areas.sample(u, |triangle| area(of, &linear, self.scene.time, triangle));
+        uniform_point(self.instance, triangle, Vec2::new(sampler.random(), sampler.random()))
+    }
+
+    /// Unit normal out of the body, render space.
+    fn outward(&self, hit: &BoundaryHit) -> Vec3 {
+        let of = &self.scene.instances[self.instance as usize];
+        let [a, b, c] = of.geometry.corners(hit.triangle, self.scene.time);
+        self.outward * self.scene.placed(self.instance).normal((b - a).cross(c - a)).normalize_or(Vec3::Z)
     }
 
     fn probe(
@@ -174,11 +231,7 @@ impl<'a> BoundaryOf<'a> {
         sampler: &mut Sampler,
         stats: &mut PathStats,
     ) -> Record {
-        let of = &self.scene.instances[self.instance as usize];
-        let [a, b, c] = of.geometry.corners(hit.triangle, self.scene.time);
-        let outward =
-            self.outward * self.scene.placed(self.instance).normal((b - a).cross(c - a)).normalize_or(Vec3::Z);
-        probe(self.scene, guide, &self.enclosure, hit, outward, area, sampler, stats)
+        probe(self.scene, guide, &self.enclosure, hit, self.outward(hit), area, sampler, stats)
     }
 
     /// Records where camera rays enter and where classical walks from there come out.
@@ -210,6 +263,7 @@ impl<'a> BoundaryOf<'a> {
                 &self.medium,
                 Along::None,
                 start,
+                false,
                 &mut sampler,
                 &mut walks,
                 |_, _| None,

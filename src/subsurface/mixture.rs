@@ -5,7 +5,7 @@
 
 use super::steps::{Enclosure, MAX_STEPS, Start, Step, Steps, WalkEnd, WalkStats};
 use super::technique::{At, Densities, GuidedMedium, Prefix, Technique, Techniques};
-use super::walk::Collision;
+use super::walk::{Collision, Role};
 use crate::medium::{phase_eval, phase_sample};
 use crate::sampling::sampler::Sampler;
 use glam::{Vec2, Vec3};
@@ -153,7 +153,7 @@ impl<H: Copy> Walk<'_, H> {
             (phase, self.techniques.direction_pdf(self.medium, &self.prefix, &densities, phase, wi))
         };
         let weight = self.start.weight * densities.weight() / self.survived;
-        visitor.collide(&Collision { p, weight, scatter: &scatter }, sampler);
+        visitor.collide(&Collision { p, weight, role: Role::Own, scatter: &scatter }, sampler);
         let wi = self.direction(sampler);
         let (_, pdf) = scatter(wi);
         self.prefix.last = wi;

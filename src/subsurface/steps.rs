@@ -118,6 +118,16 @@ impl<'a, E: Enclosure> Steps<'a, E> {
         } else {
             self.enclosure.cast(self.p, d, t + MARGIN * self.error, None)
         };
+        self.go(d, t, crossing)
+    }
+
+    /// The boundary along `d` from the entry, however far.
+    pub fn boundary_ahead(&self, d: Vec3) -> Option<(f32, E::Hit)> {
+        self.crossing_near_entry(d, f32::INFINITY, TANGENT * self.error)
+    }
+
+    /// [`Self::advance`] where the first `crossing` along `d`, as far as `t` at least, is known.
+    pub fn go(&mut self, d: Vec3, t: f32, crossing: Option<(f32, E::Hit)>) -> Step<E::Hit> {
         if let Some((t, hit)) = crossing.filter(|(t_boundary, _)| *t_boundary <= t) {
             return Step::Boundary { t, hit };
         }

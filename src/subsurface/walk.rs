@@ -18,8 +18,31 @@ pub struct Collision<'a> {
     pub p: Vec3,
     /// Start weight and that of the walk so far, this collision's albedo included.
     pub weight: Rgb,
+    pub role: Role,
     /// Phase function towards a direction, and the solid-angle pdf with which the walk goes on along it.
     pub scatter: &'a dyn Fn(Vec3) -> (f32, f32),
+}
+
+/// What light at a collision stands for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Role {
+    /// The light at this collision.
+    Own,
+    /// The light at any collision of the first segment, whose probability this is: drawn as if it had to collide, and
+    /// weighted so.
+    Segment(f32),
+    /// Nothing: the walk's own collision after one drawn for the segment. Its weight is what that one would have had here.
+    Counted(f32),
+}
+
+impl Role {
+    /// The probability of a collision that it stands for.
+    pub fn share(self) -> f32 {
+        match self {
+            Self::Own => 1.0,
+            Self::Segment(share) | Self::Counted(share) => share,
+        }
+    }
 }
 
 /// The slab normal of a walk.
@@ -55,11 +78,15 @@ impl Guided<'_> {
 /// whose weights are unbounded where their mean free path is shorter.
 const MIN_CHOICE: f32 = 0.05;
 
+/// Probability of a collision below which none is drawn for a segment: rounding has no digits of it left.
+const LEAST_SHARE: f32 = 1e-5;
+
 /// Weight below which a guided walk plays roulette. A walk towards light behind a thick body carries
 /// exp(-kappa depth) before it gets there, and roulette on that weight ruins it (guiding.md 8.5).
 const GUIDED_ROULETTE: f32 = 1e-6;
 
-/// Walks from boundary to boundary. `late` gives the slab normal at the first collision of [`Along::Late`], `collide`
+/// Walks from boundary to boundary; `ahead`: a collision is drawn for the first segment before it is known whether there is
+/// one. `late` gives the slab normal at the first collision of [`Along::Late`], `collide`
 /// is called at every collision, before its direction is drawn.
 #[allow(clippy::too_many_arguments)] // a walk has that many independent inputs
 pub fn walk<E: Enclosure>(
@@ -67,6 +94,7 @@ pub fn walk<E: Enclosure>(
     medium: &Medium,
     along: Along,
     start: Start<E::Hit>,
+    ahead: bool,
     sampler: &mut Sampler,
     stats: &mut WalkStats,
     mut late: impl FnMut(Vec3, &mut Sampler) -> Option<Vec3>,
@@ -87,12 +115,32 @@ pub fn walk<E: Enclosure>(
     // Of the direction of the segment under way: f / (a common factor) over the channels' pdfs of the same.
     let mut directions = Rgb::ONE;
     let threshold = if matches!(along, Along::None) { 1.0 } else { GUIDED_ROULETTE };
+    // Of the first segment: what it leads to, and the probability of a collision, if light is sampled for all of it.
+    let ahead = ahead && !matches!(along, Along::Late { .. });
+    let mut boundary = if ahead { steps.boundary_ahead(d) } else { None };
+    let rate = medium.sigma_t * stretch;
+    let drawn = boundary.and_then(|(t, _)| collision_before(t, medium, rate, choice, sampler));
+    let mut segment = drawn.map(|drawn| drawn.share);
+    if let Some(Ahead { t, share, weight: passed }) = drawn {
+        let weight = weight * passed;
+        let choice = channel_choice(weight, medium.albedo);
+        let scatter = |wi: Vec3| {
+            let phase = phase_eval(medium.g, d.dot(wi));
+            (phase, guided.map_or(phase, |along: Guided| choice.dot(along.pdfs(d, wi))))
+        };
+        let role = Role::Segment(share);
+        collide(&Collision { p: start.p + t * d, weight, role, scatter: &scatter }, sampler);
+    }
 
     for _ in 0..MAX_STEPS {
         stats.steps += 1;
         let rate = medium.sigma_t * stretch;
         let t = free_flight(rate[channel], sampler);
-        match steps.advance(d, t) {
+        let step = match boundary.take() {
+            Some(crossing) => steps.go(d, t, Some(crossing)),
+            None => steps.advance(d, t),
+        };
+        match step {
             Step::Boundary { t, hit } => {
                 let passed = medium.transmittance(t);
                 let drawn = if guided.is_some() { directions * transmittance(rate, t) } else { passed };
@@ -108,6 +156,7 @@ pub fn walk<E: Enclosure>(
         let passed = medium.sigma_t * medium.transmittance(t);
         let drawn = if guided.is_some() { directions * rate * transmittance(rate, t) } else { passed };
         weight *= medium.albedo * passed / choice.dot(drawn);
+        let unplayed = weight;
         match roulette(weight, threshold, sampler) {
             Some(survivor) => weight = survivor,
             None => return WalkEnd::Absorbed,
@@ -123,7 +172,11 @@ pub fn walk<E: Enclosure>(
             let phase = phase_eval(medium.g, d.dot(wi));
             (phase, guided.map_or(phase, |along| choice.dot(along.pdfs(d, wi))))
         };
-        collide(&Collision { p: steps.p, weight, scatter: &scatter }, sampler);
+        let (role, light) = match segment.take() {
+            Some(share) => (Role::Counted(share), unplayed * share),
+            None => (Role::Own, weight),
+        };
+        collide(&Collision { p: steps.p, weight: light, role, scatter: &scatter }, sampler);
         let wi = match guided {
             Some(along) => along.kernels[channel].sample(along.normal, d, sampler),
             None => phase_sample(medium.g, d, Vec2::new(sampler.random(), sampler.random())),
@@ -138,6 +191,31 @@ pub fn walk<E: Enclosure>(
     }
     stats.count(&WalkEnd::<E::Hit>::TooLong);
     WalkEnd::TooLong
+}
+
+/// A collision drawn for a segment that need not have one.
+#[derive(Clone, Copy)]
+struct Ahead {
+    t: f32,
+    /// Probability that the segment has one.
+    share: f32,
+    /// Of the collision, over that of the segment's start, as it stands for all of them.
+    weight: Rgb,
+}
+
+/// A distance as a walk with these `rate`s draws it, given that it is short of `t_boundary`.
+fn collision_before(t_boundary: f32, medium: &Medium, rate: Rgb, choice: Rgb, sampler: &mut Sampler) -> Option<Ahead> {
+    let stopped = Rgb::ONE - transmittance(rate, t_boundary);
+    let share = choice.dot(stopped);
+    if share <= LEAST_SHARE {
+        return None;
+    }
+    let channel = pick(choice * stopped / share, sampler.random());
+    let depth = -(-sampler.random() * stopped[channel]).ln_1p();
+    let t = (depth / rate[channel]).min(t_boundary);
+    let passed = medium.albedo * medium.sigma_t * medium.transmittance(t);
+    let weight = passed * (share / choice.dot(rate * transmittance(rate, t)));
+    weight.is_finite().then_some(Ahead { t, share, weight })
 }
 
 /// Exponential of the given rate; infinite in a channel without extinction.

@@ -141,7 +141,7 @@ pub fn go<const LIT: bool>(
         Way::Anywhere => Some(uniform_sphere(Vec2::new(sampler.random(), sampler.random()))),
         _ => Some(nearer(p, slab.thickness)),
     };
-    walk(slab, &medium.medium, along, start, sampler, &mut stats, late, |c, s| {
+    walk(slab, &medium.medium, along, start, false, sampler, &mut stats, late, |c, s| {
         if LIT {
             collide(c, s)
         }

@@ -162,7 +162,7 @@ fn walks<E: Enclosure<Hit = BoundaryHit>>(
     for &start in starts {
         let along =
             kernels.map_or(Along::None, |kernels| Along::Fixed { kernels, normal: start.normal, first_distance: true });
-        let end = walk(enclosure, medium, along, start, &mut sampler, &mut stats, |_, _| None, |_, _| ());
+        let end = walk(enclosure, medium, along, start, false, &mut sampler, &mut stats, |_, _| None, |_, _| ());
         if let WalkEnd::Boundary { hit, p, weight, .. } = end {
             for value in [p.x, p.y, p.z, weight.x, hit.u, hit.v] {
                 bits = bits.rotate_left(7) ^ u64::from(value.to_bits());

@@ -1,0 +1,46 @@
+//! What refracts to collisions: lights that look small, and those of a single direction.
+
+use super::{Light, Lights, LightsAt, motion::to_time};
+use crate::math::Rgb;
+use glam::{Vec2, Vec3};
+
+/// A light of a single direction.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Single {
+    pub light: u32,
+    /// Unit, towards the light.
+    pub wi: Vec3,
+    /// Of a surface that faces it, times the number of lights it is drawn from.
+    pub irradiance: Rgb,
+}
+
+impl LightsAt<'_> {
+    /// One of the lights of a single direction, as likely as any other.
+    pub fn sample_single(&self, u: f32) -> Option<Single> {
+        let count = self.all.single.len();
+        let light = *self.all.single.get(((u * count as f32) as usize).min(count.checked_sub(1)?))?;
+        let (Light::Distant(distant), pose) = self.light(light) else { return None };
+        let (wi, _) = distant.sample(Vec2::ZERO);
+        let irradiance = distant.sampled_radiance(wi) * count as f32;
+        Some(Single { light, wi: to_time(pose.as_ref(), wi), irradiance })
+    }
+}
+
+impl Lights {
+    pub fn is_single(&self, light: u32) -> bool {
+        self.single.contains(&light)
+    }
+
+    /// Whether some light comes from a single direction.
+    pub fn has_single(&self) -> bool {
+        !self.single.is_empty()
+    }
+
+    /// Whether some light is small as seen from anywhere: it has a shape, an angle, or no size at all.
+    pub fn has_small(&self) -> bool {
+        self.lights.iter().any(|light| match light {
+            Light::Area(_) | Light::Distant(_) => true,
+            Light::Dome(dome) => dome.has_suns(),
+        })
+    }
+}
