@@ -333,7 +333,7 @@ pub(super) mod tests {
                 let v = uniform(&mut sampler);
                 let Some(at) = find(&window, x, v) else { continue };
                 let (frame, h) = (Frame::from_normal(at.v), 2e-3);
-                let moved = |axis| {
+                let moved = |axis: Vec3| {
                     let ends = [h, -h].map(|h| find(&window, x, (v + h * axis).normalize()));
                     let [Some(a), Some(b)] = ends else { return None };
                     let within = a.hit.triangle == at.hit.triangle && b.hit.triangle == at.hit.triangle;
