@@ -158,11 +158,11 @@ fn single_directions_are_small_suns() {
         medium: medium([0.9; 3], [0.5; 3], 0.0, 1.1),
         lights,
         walk: "classical",
-        samples: 512,
+        samples: 2048,
     };
     let solid_angle = std::f32::consts::TAU * (1.0 - 1_f32.to_radians().cos());
-    let single = case(sun(0.0, 10.0)).color("on", 512, 1);
-    let wide = case(sun(2.0, 10.0 / solid_angle)).color("on", 512, 2);
+    let single = case(sun(0.0, 10.0)).color("on", 2048, 1);
+    let wide = case(sun(2.0, 10.0 / solid_angle)).color("on", 2048, 2);
     let mut tests = Vec::new();
     for c in 0..3 {
         let (single, wide) = (channel(&single, c), channel(&wide, c));
