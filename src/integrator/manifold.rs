@@ -353,7 +353,7 @@ pub(super) mod tests {
     #[test]
     fn paths_find_themselves_again() {
         let mut sampler = Sampler::new(6, 0, 0);
-        for (waves, ior, least) in [(0.0, 1.2, 0.9), (0.0, 1.5, 0.9), (0.1, 1.4, 0.5), (0.1, 2.0, 0.3)] {
+        for (waves, ior, least) in [(0.0, 1.2, 0.9), (0.0, 1.5, 0.85), (0.1, 1.4, 0.5), (0.1, 2.0, 0.3)] {
             let scene = ball(waves, ior, Vec::new());
             let window = window(&scene);
             let (mut ways, mut same) = (0, 0);
