@@ -190,6 +190,7 @@ impl<'a> Path<'a> {
             }
             None => self.walk::<false>(passage, start, scale, None, sampler),
         };
+        sampler.end_walk();
         let WalkEnd::Boundary { hit, d, weight, scattered, .. } = end else { return None };
         self.throughput = scale * weight;
         Some((hit, d, scattered))

@@ -11,15 +11,22 @@ const SOBOL_DIMENSIONS: u32 = 64;
 /// The dimension of the path's time: whoever asks for it moves no other number.
 const TIME: u32 = SOBOL_DIMENSIONS;
 
+/// Dimensions of the first steps of a path's first walk: after them the light that a walk finds depends on too many
+/// numbers for strata to matter.
+const STEP_DIMENSIONS: std::ops::Range<u32> = TIME + 1..TIME + 13;
+
+/// Dimensions with Sobol points.
+const DIMENSIONS: usize = STEP_DIMENSIONS.end as usize;
+
 /// Samples of one sobol_burley sequence (its documented maximum is 2^16); further ones are reseeded.
 const SEQUENCE: u32 = 1 << 16;
 
 /// By dimension and hexadecimal digit of the reversed index: what the digit gives of the Sobol point, whose digits are joined by
 /// xor. 16 KB.
-type Digits = [[[u32; 16]; 4]; TIME as usize + 1];
+type Digits = [[[u32; 16]; 4]; DIMENSIONS];
 
 static DIGITS: LazyLock<Box<Digits>> = LazyLock::new(|| {
-    let mut digits = Box::new([[[0; 16]; 4]; TIME as usize + 1]);
+    let mut digits = Box::new([[[0; 16]; 4]; DIMENSIONS]);
     for (dimension, places) in digits.iter_mut().enumerate() {
         for (place, values) in places.iter_mut().enumerate() {
             for (value, point) in values.iter_mut().enumerate() {
@@ -38,6 +45,8 @@ pub struct Sampler {
     /// Of the sample in its sequence, shuffled by the seed, bits reversed.
     shuffled: u32,
     dimension: u32,
+    /// Next one of [`STEP_DIMENSIONS`].
+    step: u32,
     /// Counter of the hashed stream.
     state: u64,
 }
@@ -53,6 +62,7 @@ impl Sampler {
             seed,
             shuffled: parts::owen_scramble_rev((sample % SEQUENCE).reverse_bits(), shuffle),
             dimension: 0,
+            step: STEP_DIMENSIONS.start,
             state: hash(u64::from(pixel_seed) << 32 | u64::from(sample)),
         }
     }
@@ -70,13 +80,17 @@ impl Sampler {
     /// `sobol_burley::sample` to the bit, whose shuffling of the index is made once and whose point comes from a table.
     #[inline]
     fn sobol(&self, dimension: u32) -> f32 {
+        parts::u32_to_f32_norm(self.sobol_bits(dimension))
+    }
+
+    #[inline]
+    fn sobol_bits(&self, dimension: u32) -> u32 {
         let places = &self.digits[dimension as usize];
         let digit = |place: usize| places[place][(self.shuffled >> (28 - 4 * place)) as usize & 15];
         let point = digit(0) ^ digit(1) ^ digit(2) ^ digit(3);
         let lane = [0x912f_69ba, 0x174f_18ab, 0x691e_72ca, 0xb40c_c1b8][dimension as usize & 3];
         let scramble = (dimension >> 2) ^ self.seed.wrapping_mul(0x9c8f_2d3b) ^ lane;
-        let scrambled = parts::owen_scramble_rev(point, parts::hash(scramble));
-        parts::u32_to_f32_norm(scrambled.reverse_bits())
+        parts::owen_scramble_rev(point, parts::hash(scramble)).reverse_bits()
     }
 
     pub fn next_2d(&mut self) -> Vec2 {
@@ -104,6 +118,33 @@ impl Sampler {
         self.sobol(TIME)
     }
 
+    /// A number in [0, 1) for a step of a walk, stratified for the first steps of the first walk.
+    pub fn step_1d(&mut self) -> f32 {
+        if let Some(dimension) = self.next_step() { self.sobol(dimension) } else { self.random() }
+    }
+
+    pub fn step_2d(&mut self) -> Vec2 {
+        Vec2::new(self.step_1d(), self.step_1d())
+    }
+
+    /// A number in (0, 1] with 32 bits for a step of a walk, as [`Self::random_open`].
+    pub fn step_open(&mut self) -> f32 {
+        if let Some(dimension) = self.next_step() { open(self.sobol_bits(dimension)) } else { self.random_open() }
+    }
+
+    fn next_step(&mut self) -> Option<u32> {
+        let dimension = self.step;
+        (dimension < STEP_DIMENSIONS.end).then(|| {
+            self.step += 1;
+            dimension
+        })
+    }
+
+    /// The walk is over: what others draw depends on how it went.
+    pub fn end_walk(&mut self) {
+        self.step = STEP_DIMENSIONS.end;
+    }
+
     /// A number in [0, 1) from the hashed stream: SplitMix64 (Steele et al. 2014), top 24 bits.
     pub fn random(&mut self) -> f32 {
         (self.bits() >> 40) as f32 * (1.0 / (1u64 << 24) as f32)
@@ -111,13 +152,18 @@ impl Sampler {
 
     /// A number in (0, 1] with 32 bits, for logarithms: -ln reaches 22.2 instead of 16.6 mean free paths.
     pub fn random_open(&mut self) -> f32 {
-        ((self.bits() >> 32) + 1) as f32 * (1.0 / (1u64 << 32) as f32)
+        open((self.bits() >> 32) as u32)
     }
 
     fn bits(&mut self) -> u64 {
         self.state = self.state.wrapping_add(STEP);
         mix(self.state)
     }
+}
+
+/// (bits + 1) / 2^32.
+fn open(bits: u32) -> f32 {
+    (u64::from(bits) + 1) as f32 * (1.0 / (1u64 << 32) as f32)
 }
 
 /// Of the hashed stream's counter: 2^64 over the golden ratio.
@@ -146,7 +192,32 @@ mod tests {
                 assert_eq!(sampler.next_1d(), expected, "dimension {dimension} of sample {sample}");
             }
             assert_eq!(sampler.time(), sobol_burley::sample(sample, TIME, sampler.seed));
+            for dimension in STEP_DIMENSIONS {
+                assert_eq!(sampler.step_1d(), sobol_burley::sample(sample, dimension, sampler.seed));
+            }
         }
+    }
+
+    /// Strata for the first steps of the first walk alone; the numbers of the path do not depend on how long it was.
+    #[test]
+    fn steps_of_walks() {
+        let fresh = Sampler::new(3, 7, 5);
+        let (mut short, mut long) = (fresh.clone(), fresh.clone());
+        short.step_open();
+        STEP_DIMENSIONS.for_each(|_| _ = long.step_1d());
+        for walked in [&mut short, &mut long] {
+            walked.end_walk();
+            assert_eq!(walked.step_1d(), fresh.clone().random());
+            assert_eq!(walked.next_2d(), fresh.clone().next_2d());
+        }
+        // The first number of 65536 samples, one in each stratum, none of them 0.
+        let mut seen = vec![false; 1 << 16];
+        for sample in 0..1 << 16 {
+            let u = f64::from(Sampler::new(1, 2, sample).step_open());
+            assert!(u > 0.0 && u <= 1.0);
+            seen[((u * 65536.0).ceil() as usize).max(1) - 1] = true;
+        }
+        assert!(seen.iter().all(|seen| *seen));
     }
 
     /// Whether a lens is there or not, all that follows gets the same numbers, Sobol or hashed.

@@ -11,7 +11,7 @@ use crate::math::PI;
 use crate::medium::{phase_eval, phase_sample};
 use crate::sampling::direction_about;
 use crate::sampling::sampler::Sampler;
-use glam::{Vec2, Vec3};
+use glam::Vec3;
 use std::sync::Arc;
 
 /// Sampling of directions and distances of one channel, drawn along a slab normal.
@@ -93,8 +93,8 @@ impl Kernel {
     /// Direction after a collision of light (path) travelling along `d`.
     pub fn sample(&self, n: Vec3, d: Vec3, sampler: &mut Sampler) -> Vec3 {
         match &self.form {
-            Form::Classical(g) => phase_sample(*g, d, Vec2::new(sampler.random(), sampler.random())),
-            Form::Isotropic(dwivedi) => direction_about(n, dwivedi.sample(sampler.random()), sampler.random()),
+            Form::Classical(g) => phase_sample(*g, d, sampler.step_2d()),
+            Form::Isotropic(dwivedi) => direction_about(n, dwivedi.sample(sampler.step_1d()), sampler.step_1d()),
             Form::Anisotropic { eigenfunction, .. } => eigenfunction.sample(n, d, sampler),
         }
     }

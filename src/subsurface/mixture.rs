@@ -8,7 +8,7 @@ use super::technique::{At, Densities, GuidedMedium, Prefix, Technique, Technique
 use super::walk::{Collision, Role};
 use crate::medium::{phase_eval, phase_sample};
 use crate::sampling::sampler::Sampler;
-use glam::{Vec2, Vec3};
+use glam::Vec3;
 
 /// How a walk of the mixture ended, and what learning and control variates need of it.
 #[derive(Debug, Clone, Copy)]
@@ -114,7 +114,7 @@ impl<H: Copy> Walk<'_, H> {
         if let Some(lane) = self.drawn.lane.filter(|_| self.techniques.guided_first || self.prefix.collisions > 0) {
             rate *= kernel.stretch(self.techniques.normal(lane), self.prefix.last);
         }
-        let depth = -sampler.random_open().ln();
+        let depth = -sampler.step_open().ln();
         if rate > 0.0 { depth / rate } else { f32::INFINITY }
     }
 
@@ -126,7 +126,7 @@ impl<H: Copy> Walk<'_, H> {
         let d = self.prefix.last;
         match self.drawn.lane {
             Some(lane) => self.medium.kernels[self.drawn.channel].sample(self.techniques.normal(lane), d, sampler),
-            None => phase_sample(self.medium.medium.g, d, Vec2::new(sampler.random(), sampler.random())),
+            None => phase_sample(self.medium.medium.g, d, sampler.step_2d()),
         }
     }
 

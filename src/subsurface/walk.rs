@@ -10,7 +10,7 @@ use super::steps::{Enclosure, MAX_STEPS, Start, Step, Steps, WalkEnd, WalkStats}
 use crate::math::Rgb;
 use crate::medium::{Medium, phase_eval, phase_sample};
 use crate::sampling::sampler::Sampler;
-use glam::{Vec2, Vec3};
+use glam::Vec3;
 
 /// A scattering vertex, as handed to the caller (for next-event estimation through matched boundaries).
 #[derive(Clone, Copy)]
@@ -110,7 +110,7 @@ pub fn walk<E: Enclosure>(
         stretch = if first_distance { first.stretches(d) } else { stretch };
     }
     let mut choice = channel_choice(weight, medium.albedo);
-    let mut channel = pick(choice, sampler.random());
+    let mut channel = pick(choice, sampler.step_1d());
     let mut scattered = None;
     // Of the direction of the segment under way: f / (a common factor) over the channels' pdfs of the same.
     let mut directions = Rgb::ONE;
@@ -167,7 +167,7 @@ pub fn walk<E: Enclosure>(
 
         // A new channel, and a direction for it.
         choice = channel_choice(weight, medium.albedo);
-        channel = pick(choice, sampler.random());
+        channel = pick(choice, sampler.step_1d());
         let scatter = |wi: Vec3| {
             let phase = phase_eval(medium.g, d.dot(wi));
             (phase, guided.map_or(phase, |along| choice.dot(along.pdfs(d, wi))))
@@ -179,7 +179,7 @@ pub fn walk<E: Enclosure>(
         collide(&Collision { p: steps.p, weight: light, role, scatter: &scatter }, sampler);
         let wi = match guided {
             Some(along) => along.kernels[channel].sample(along.normal, d, sampler),
-            None => phase_sample(medium.g, d, Vec2::new(sampler.random(), sampler.random())),
+            None => phase_sample(medium.g, d, sampler.step_2d()),
         };
         let (phase, pdf) = scatter(wi);
         scattered = Some((steps.p, pdf));
@@ -220,7 +220,7 @@ fn collision_before(t_boundary: f32, medium: &Medium, rate: Rgb, choice: Rgb, sa
 
 /// Exponential of the given rate; infinite in a channel without extinction.
 fn free_flight(rate: f32, sampler: &mut Sampler) -> f32 {
-    let depth = -sampler.random_open().ln();
+    let depth = -sampler.step_open().ln();
     if rate > 0.0 { depth / rate } else { f32::INFINITY }
 }
 
