@@ -11,22 +11,22 @@ const SOBOL_DIMENSIONS: u32 = 64;
 /// The dimension of the path's time: whoever asks for it moves no other number.
 const TIME: u32 = SOBOL_DIMENSIONS;
 
-/// Dimensions of the first steps of a path's first walk: after them the light that a walk finds depends on too many
-/// numbers for strata to matter.
-const STEP_DIMENSIONS: std::ops::Range<u32> = TIME + 1..TIME + 13;
+/// Steps of a path's first walk that have Sobol points: the light that a walk finds after more depends on too many numbers
+/// for strata to matter.
+const STEPS: u32 = 4;
 
-/// Dimensions with Sobol points.
-const DIMENSIONS: usize = STEP_DIMENSIONS.end as usize;
+/// Numbers of a step, at most.
+const STEP_DIMENSIONS: u32 = 4;
 
 /// Samples of one sobol_burley sequence (its documented maximum is 2^16); further ones are reseeded.
 const SEQUENCE: u32 = 1 << 16;
 
 /// By dimension and hexadecimal digit of the reversed index: what the digit gives of the Sobol point, whose digits are joined by
-/// xor. 19 KB.
-type Digits = [[[u32; 16]; 4]; DIMENSIONS];
+/// xor. 16 KB.
+type Digits = [[[u32; 16]; 4]; TIME as usize + 1];
 
 static DIGITS: LazyLock<Box<Digits>> = LazyLock::new(|| {
-    let mut digits = Box::new([[[0; 16]; 4]; DIMENSIONS]);
+    let mut digits = Box::new([[[0; 16]; 4]; TIME as usize + 1]);
     for (dimension, places) in digits.iter_mut().enumerate() {
         for (place, values) in places.iter_mut().enumerate() {
             for (value, point) in values.iter_mut().enumerate() {
@@ -45,10 +45,26 @@ pub struct Sampler {
     /// Of the sample in its sequence, shuffled by the seed, bits reversed.
     shuffled: u32,
     dimension: u32,
-    /// Next one of [`STEP_DIMENSIONS`].
-    step: u32,
+    /// Steps of walks that have begun, [`STEPS`] at most.
+    steps: u32,
+    step: Step,
     /// Counter of the hashed stream.
     state: u64,
+}
+
+/// Where the numbers of the step under way come from.
+#[derive(Debug, Clone)]
+struct Step {
+    /// Index of its points.
+    shuffled: u32,
+    /// What its first number is scrambled as.
+    scrambled_as: u32,
+    /// Numbers drawn; [`STEP_DIMENSIONS`]: what follows is hashed.
+    drawn: u32,
+}
+
+impl Step {
+    const HASHED: Self = Self { shuffled: 0, scrambled_as: 0, drawn: STEP_DIMENSIONS };
 }
 
 impl Sampler {
@@ -62,7 +78,8 @@ impl Sampler {
             seed,
             shuffled: parts::owen_scramble_rev((sample % SEQUENCE).reverse_bits(), shuffle),
             dimension: 0,
-            step: STEP_DIMENSIONS.start,
+            steps: 0,
+            step: Step::HASHED,
             state: hash(u64::from(pixel_seed) << 32 | u64::from(sample)),
         }
     }
@@ -78,18 +95,18 @@ impl Sampler {
     }
 
     /// `sobol_burley::sample` to the bit, whose shuffling of the index is made once and whose point comes from a table.
-    #[inline]
     fn sobol(&self, dimension: u32) -> f32 {
-        parts::u32_to_f32_norm(self.sobol_bits(dimension))
+        parts::u32_to_f32_norm(self.sobol_bits(self.shuffled, dimension, dimension))
     }
 
+    /// The point of index `shuffled` in `dimension`, scrambled as `scrambled_as`.
     #[inline]
-    fn sobol_bits(&self, dimension: u32) -> u32 {
+    fn sobol_bits(&self, shuffled: u32, dimension: u32, scrambled_as: u32) -> u32 {
         let places = &self.digits[dimension as usize];
-        let digit = |place: usize| places[place][(self.shuffled >> (28 - 4 * place)) as usize & 15];
+        let digit = |place: usize| places[place][(shuffled >> (28 - 4 * place)) as usize & 15];
         let point = digit(0) ^ digit(1) ^ digit(2) ^ digit(3);
-        let lane = [0x912f_69ba, 0x174f_18ab, 0x691e_72ca, 0xb40c_c1b8][dimension as usize & 3];
-        let scramble = (dimension >> 2) ^ self.seed.wrapping_mul(0x9c8f_2d3b) ^ lane;
+        let lane = [0x912f_69ba, 0x174f_18ab, 0x691e_72ca, 0xb40c_c1b8][scrambled_as as usize & 3];
+        let scramble = (scrambled_as >> 2) ^ self.seed.wrapping_mul(0x9c8f_2d3b) ^ lane;
         parts::owen_scramble_rev(point, parts::hash(scramble)).reverse_bits()
     }
 
@@ -118,31 +135,46 @@ impl Sampler {
         self.sobol(TIME)
     }
 
-    /// A number in [0, 1) for a step of a walk, stratified for the first steps of the first walk.
+    /// A step of a walk begins. Each of the first ones has a set of points of its own, the first four dimensions, which fill
+    /// small boxes best, shuffled against the others (Burley 2020, "Practical Hash-based Owen Scrambling", section 3).
+    pub fn begin_step(&mut self) {
+        self.step = if self.steps < STEPS {
+            Step {
+                shuffled: parts::owen_scramble_rev(self.shuffled, parts::hash(self.seed ^ self.steps)),
+                scrambled_as: TIME + STEP_DIMENSIONS * (1 + self.steps),
+                drawn: 0,
+            }
+        } else {
+            Step::HASHED
+        };
+        self.steps = STEPS.min(self.steps + 1);
+    }
+
+    /// The walk is over; how the next one's steps are drawn must not depend on how long it was.
+    pub fn end_walk(&mut self) {
+        (self.steps, self.step) = (STEPS, Step::HASHED);
+    }
+
+    /// A number in [0, 1) of the step under way.
     pub fn step_1d(&mut self) -> f32 {
-        if let Some(dimension) = self.next_step() { self.sobol(dimension) } else { self.random() }
+        if let Some(bits) = self.step_bits() { parts::u32_to_f32_norm(bits) } else { self.random() }
     }
 
     pub fn step_2d(&mut self) -> Vec2 {
         Vec2::new(self.step_1d(), self.step_1d())
     }
 
-    /// A number in (0, 1] with 32 bits for a step of a walk, as [`Self::random_open`].
+    /// A number in (0, 1] with 32 bits of the step under way, as [`Self::random_open`].
     pub fn step_open(&mut self) -> f32 {
-        if let Some(dimension) = self.next_step() { open(self.sobol_bits(dimension)) } else { self.random_open() }
+        if let Some(bits) = self.step_bits() { open(bits) } else { self.random_open() }
     }
 
-    fn next_step(&mut self) -> Option<u32> {
-        let dimension = self.step;
-        (dimension < STEP_DIMENSIONS.end).then(|| {
-            self.step += 1;
-            dimension
+    fn step_bits(&mut self) -> Option<u32> {
+        let Step { shuffled, scrambled_as, drawn } = self.step;
+        (drawn < STEP_DIMENSIONS).then(|| {
+            self.step.drawn += 1;
+            self.sobol_bits(shuffled, drawn, scrambled_as + drawn)
         })
-    }
-
-    /// The walk is over: what others draw depends on how it went.
-    pub fn end_walk(&mut self) {
-        self.step = STEP_DIMENSIONS.end;
     }
 
     /// A number in [0, 1) from the hashed stream: SplitMix64 (Steele et al. 2014), top 24 bits.
@@ -192,32 +224,49 @@ mod tests {
                 assert_eq!(sampler.next_1d(), expected, "dimension {dimension} of sample {sample}");
             }
             assert_eq!(sampler.time(), sobol_burley::sample(sample, TIME, sampler.seed));
-            for dimension in STEP_DIMENSIONS {
-                assert_eq!(sampler.step_1d(), sobol_burley::sample(sample, dimension, sampler.seed));
-            }
         }
     }
 
-    /// Strata for the first steps of the first walk alone; the numbers of the path do not depend on how long it was.
+    /// Steps of later walks, and late ones, are hashed; the numbers of the path do not depend on the walk's length.
     #[test]
     fn steps_of_walks() {
         let fresh = Sampler::new(3, 7, 5);
         let (mut short, mut long) = (fresh.clone(), fresh.clone());
-        short.step_open();
-        STEP_DIMENSIONS.for_each(|_| _ = long.step_1d());
+        short.begin_step();
+        for _ in 0..STEPS {
+            long.begin_step();
+            (0..STEP_DIMENSIONS).for_each(|_| _ = long.step_1d());
+        }
         for walked in [&mut short, &mut long] {
             walked.end_walk();
+            walked.begin_step();
             assert_eq!(walked.step_1d(), fresh.clone().random());
-            assert_eq!(walked.next_2d(), fresh.clone().next_2d());
         }
-        // The first number of 256 samples, one in each stratum, none of them 0.
-        let mut seen = [false; 256];
-        for sample in 0..256 {
-            let u = f64::from(Sampler::new(1, 2, sample).step_open());
-            assert!(u > 0.0 && u <= 1.0);
-            seen[(u * 256.0).ceil() as usize - 1] = true;
-        }
-        assert!(seen.iter().all(|seen| *seen));
+        assert_eq!((short.next_1d(), long.next_1d()), (fresh.clone().next_1d(), fresh.clone().next_1d()));
+    }
+
+    /// 256 samples: one in each of 16 x 16 boxes of the first two numbers of a step; steps know nothing of each other.
+    #[test]
+    fn a_step_is_stratified() {
+        let points: Vec<[f32; 3]> = (0..256)
+            .map(|sample| {
+                let mut sampler = Sampler::new(1, 2, sample);
+                sampler.begin_step();
+                sampler.begin_step();
+                let (first, second) = (sampler.step_open(), sampler.step_1d());
+                sampler.begin_step();
+                [first, second, sampler.step_open()]
+            })
+            .collect();
+        let filled = |a: usize, b: usize| {
+            let side = |u: f32| (u * 16.0).clamp(0.0, 15.0) as usize;
+            let mut boxes = [false; 256];
+            points.iter().for_each(|p| boxes[16 * side(p[a]) + side(p[b])] = true);
+            boxes.iter().filter(|filled| **filled).count()
+        };
+        assert_eq!(filled(0, 1), 256);
+        // Independent points fill 1 - 1/e of the boxes, 162 +- 5.
+        assert!((140..185).contains(&filled(0, 2)), "{}", filled(0, 2));
     }
 
     /// Whether a lens is there or not, all that follows gets the same numbers, Sobol or hashed.

@@ -70,6 +70,7 @@ pub fn walk_mixture<E: Enclosure, V: Visitor>(
     let mut scattered = None;
     for _ in 0..MAX_STEPS {
         stats.steps += 1;
+        sampler.begin_step();
         let d = walk.prefix.last;
         let t = walk.free_flight(sampler);
         match steps.advance(d, t) {

@@ -110,7 +110,7 @@ pub fn walk<E: Enclosure>(
         stretch = if first_distance { first.stretches(d) } else { stretch };
     }
     let mut choice = channel_choice(weight, medium.albedo);
-    let mut channel = pick(choice, sampler.step_1d());
+    let mut channel = pick(choice, sampler.next_1d());
     let mut scattered = None;
     // Of the direction of the segment under way: f / (a common factor) over the channels' pdfs of the same.
     let mut directions = Rgb::ONE;
@@ -134,6 +134,7 @@ pub fn walk<E: Enclosure>(
 
     for _ in 0..MAX_STEPS {
         stats.steps += 1;
+        sampler.begin_step();
         let rate = medium.sigma_t * stretch;
         let t = free_flight(rate[channel], sampler);
         let step = match boundary.take() {
