@@ -6,10 +6,11 @@
 //! body takes the index of what is around it: it outranks media, never indices, so that an interface between two
 //! indices is seen whatever fills the place.
 
-use crate::bsdf::Boundary;
+use crate::bsdf::{Boundary, Side};
+use crate::interaction::Interaction;
 use crate::math::Rgb;
 use crate::medium::Medium;
-use crate::scene::{Around, Interior, Scene};
+use crate::scene::{Around, Coating, Interior, Moment, Scene};
 
 /// Bodies within bodies that are tracked; deeper ones end the path, counted as trapped.
 const DEPTH: usize = 16;
@@ -135,6 +136,28 @@ impl Nest {
     /// Absorption over `t` stage units of what the path is in.
     pub fn transmittance(&self, t: f32) -> Rgb {
         self.medium().map_or(Rgb::ONE, |medium| medium.transmittance(t))
+    }
+}
+
+pub(super) fn side_of(inside: &Nest, instance: u32) -> Side {
+    if inside.contains(instance) { Side::Inside } else { Side::Outside }
+}
+
+/// Whether a surface of `instance` is not there, for a path amid the bodies `inside`.
+pub(super) fn hides(scene: Moment, inside: &Nest, instance: u32, coating: &Coating) -> bool {
+    let Some(interior) = coating.interior.filter(|_| !inside.is_empty()) else { return false };
+    let priority = scene.instances[instance as usize].priority;
+    interior.boundary != Boundary::Diffuse && inside.hides(instance, priority, interior.boundary)
+}
+
+/// The bodies beyond the boundary at `si` for a path amid `inside`; `None` where they are too many.
+pub(super) fn crossed(scene: Moment, inside: &Nest, si: &Interaction, coating: &Coating) -> Option<Nest> {
+    match si.side {
+        Side::Inside => Some(inside.left(si.instance)),
+        Side::Outside => {
+            let priority = scene.instances[si.instance as usize].priority;
+            inside.entered(Inside::new(si.instance, si.surface, priority, coating.interior))
+        }
     }
 }
 

@@ -2,8 +2,7 @@
 
 use super::Path;
 use super::Previous;
-use super::nest::Nest;
-use super::{crossed, hides, side_of};
+use super::nest::{Nest, crossed, hides, side_of};
 use crate::bsdf::{Boundary, Side};
 use crate::light::{SHORT, Shadow, ShapeHit};
 use crate::math::Rgb;

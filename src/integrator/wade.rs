@@ -2,9 +2,10 @@
 //! which is then met as any surface is. Where nothing else is in a medium, `medium` has it from boundary to boundary.
 
 use super::collision::CollisionLight;
+use super::footprint::Cone;
 use super::medium::Passage;
 use super::nest::Inside;
-use super::{Cone, Path, Previous};
+use super::{Path, Previous};
 use crate::bsdf::{Boundary, Response};
 use crate::math::Rgb;
 use crate::sampling::sampler::Sampler;
