@@ -3,7 +3,7 @@
 //! A position has one offset, the mean over all corners that meet there: seams of texture coordinates, of materials and
 //! of split points stay closed. An image is filtered over the edges of the triangle, so that the mesh can follow it.
 
-use super::geometry::{Attribute, Values};
+use super::attribute::{Attribute, Values};
 use super::image::{Image, ImageCache};
 use super::network::{Lookup, Program};
 use crate::flat::{self, Network, Prims};

@@ -1,6 +1,6 @@
 //! Materials with inputs that are driven: their surface is compiled anew at every point, from the numbers there.
 
-use super::geometry::Values;
+use super::attribute::Values;
 use super::image::ImageCache;
 use super::network::{Lookup, Program};
 use super::{Coating, Geometry, Instance};

@@ -1,109 +1,19 @@
 //! A mesh made ready for rays: triangles about their centre, a BVH, and attributes at the corners.
 
 use super::accel::{Aabb, Blas, ClosestPoint, Ray, TriHit};
+use super::attribute::{Attribute, Values, attribute};
 use super::displace::{Displacement, Surface};
 use super::edges::open_edges;
 use super::image::ImageCache;
 use super::motion::{Deformation, Keys};
 use super::strands::Strands;
-use crate::flat::{self, AnyPrimvar, Interpolation, Orientation, Primvar, array::Element};
+use super::triangulation::{Triangulation, slots, triangulate};
+use crate::flat;
 use crate::math::Affine;
 use crate::subdivision::{self, Refinement};
-use glam::{DVec3, Mat3, Vec2, Vec3, Vec4};
+use glam::{DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
-
-/// Values over a mesh, by the cheapest index that carries them.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Attribute<T> {
-    Constant(T),
-    /// By point index.
-    Point(Vec<T>),
-    /// By triangle.
-    Triangle(Vec<T>),
-    /// By triangle and corner.
-    Corner(Vec<[T; 3]>),
-}
-
-impl<T: Copy + std::ops::Mul<f32, Output = T> + std::ops::Add<Output = T>> Attribute<T> {
-    /// Linear interpolation at barycentrics (1 - u - v, u, v).
-    pub fn at(&self, triangle: usize, corners: [u32; 3], u: f32, v: f32) -> T {
-        match self {
-            Attribute::Constant(value) => *value,
-            Attribute::Triangle(values) => values[triangle],
-            _ => {
-                let [a, b, c] = self.corners(triangle, corners);
-                a * (1.0 - u - v) + b * u + c * v
-            }
-        }
-    }
-
-    /// Values at the corners of a triangle.
-    pub fn corners(&self, triangle: usize, corners: [u32; 3]) -> [T; 3] {
-        match self {
-            Attribute::Constant(value) => [*value; 3],
-            Attribute::Triangle(values) => [values[triangle]; 3],
-            Attribute::Point(values) => corners.map(|i| values[i as usize]),
-            Attribute::Corner(values) => values[triangle],
-        }
-    }
-
-    /// Bytes beside the value itself.
-    pub(super) fn memory(&self) -> usize {
-        match self {
-            Attribute::Constant(_) => 0,
-            Attribute::Point(values) | Attribute::Triangle(values) => size_of_val(values.as_slice()),
-            Attribute::Corner(values) => size_of_val(values.as_slice()),
-        }
-    }
-}
-
-/// A primvar that materials read, by its number of components.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Values {
-    One(Attribute<f32>),
-    Two(Attribute<Vec2>),
-    Three(Attribute<Vec3>),
-    Four(Attribute<Vec4>),
-}
-
-impl Values {
-    fn new(primvar: &AnyPrimvar, soup: &Triangulation) -> Self {
-        match primvar {
-            AnyPrimvar::Float(primvar) => Self::One(attribute(primvar, soup, |v| v)),
-            AnyPrimvar::Float2(primvar) => Self::Two(attribute(primvar, soup, Vec2::from)),
-            AnyPrimvar::Float3(primvar) => Self::Three(attribute(primvar, soup, Vec3::from)),
-            AnyPrimvar::Float4(primvar) => Self::Four(attribute(primvar, soup, Vec4::from)),
-        }
-    }
-
-    /// One number fills all lanes, a shorter vector has zeros behind it.
-    pub fn at(&self, triangle: usize, corners: [u32; 3], u: f32, v: f32) -> Vec4 {
-        match self {
-            Self::One(values) => Vec4::splat(values.at(triangle, corners, u, v)),
-            Self::Two(values) => values.at(triangle, corners, u, v).extend(0.0).extend(0.0),
-            Self::Three(values) => values.at(triangle, corners, u, v).extend(0.0),
-            Self::Four(values) => values.at(triangle, corners, u, v),
-        }
-    }
-
-    fn memory(&self) -> usize {
-        fn bytes<T>(values: &Attribute<T>) -> usize {
-            size_of::<T>()
-                * match values {
-                    Attribute::Constant(_) => 1,
-                    Attribute::Point(values) | Attribute::Triangle(values) => values.len(),
-                    Attribute::Corner(values) => 3 * values.len(),
-                }
-        }
-        match self {
-            Self::One(values) => bytes(values),
-            Self::Two(values) => bytes(values),
-            Self::Three(values) => bytes(values),
-            Self::Four(values) => bytes(values),
-        }
-    }
-}
 
 pub struct Geometry {
     /// Object space minus `centre`, so that f32 resolves a mesh far from its origin; of one that deforms at the frame.
@@ -130,14 +40,6 @@ pub struct Geometry {
     pub displacement: Option<Displacement>,
     /// Corners whose displacement was no number.
     pub not_displaced: usize,
-}
-
-/// Triangles of a mesh with what they came from.
-struct Triangulation {
-    triangles: Vec<[u32; 3]>,
-    /// Face-vertex index of each corner.
-    corners: Vec<[u32; 3]>,
-    faces: Vec<u32>,
 }
 
 impl Geometry {
@@ -405,55 +307,6 @@ fn centre(points: &[[f32; 3]]) -> DVec3 {
     if bounds.0.x > bounds.1.x { DVec3::ZERO } else { (bounds.0.as_dvec3() + bounds.1.as_dvec3()) * 0.5 }
 }
 
-/// Fans, as Hydra's HdMeshUtil; holes left out, left-handed faces turned so that winding is outward.
-fn triangulate(mesh: &flat::Mesh) -> Triangulation {
-    let holes: std::collections::BTreeSet<i32> = mesh.hole_indices.iter().copied().collect();
-    let left_handed = mesh.orientation == Orientation::LeftHanded;
-    let n = mesh.face_vertex_indices.len().saturating_sub(2 * mesh.face_vertex_counts.len());
-    let mut soup = Triangulation {
-        triangles: Vec::with_capacity(n),
-        corners: Vec::with_capacity(n),
-        faces: Vec::with_capacity(n),
-    };
-    let mut first = 0_u32;
-    for (face, &count) in mesh.face_vertex_counts.iter().enumerate() {
-        let count = count as u32;
-        if holes.is_empty() || !holes.contains(&(face as i32)) {
-            for k in 1..count.saturating_sub(1) {
-                let (b, c) = if left_handed { (k + 1, k) } else { (k, k + 1) };
-                let corners = [first, first + b, first + c];
-                soup.triangles.push(corners.map(|i| mesh.face_vertex_indices[i as usize] as u32));
-                soup.corners.push(corners);
-                soup.faces.push(face as u32);
-            }
-        }
-        first += count;
-    }
-    soup
-}
-
-fn attribute<T: Element, U: Copy>(
-    primvar: &Primvar<T>,
-    soup: &Triangulation,
-    convert: impl Fn(T) -> U,
-) -> Attribute<U> {
-    let value = |i: usize| {
-        let i = primvar.indices.as_ref().map_or(i, |indices| indices[i] as usize);
-        convert(primvar.values[i])
-    };
-    match primvar.interpolation {
-        Interpolation::Constant => Attribute::Constant(value(0)),
-        Interpolation::Uniform => Attribute::Triangle(soup.faces.iter().map(|&f| value(f as usize)).collect()),
-        Interpolation::Vertex | Interpolation::Varying => {
-            let n = primvar.indices.as_ref().map_or(primvar.values.len(), |indices| indices.len());
-            Attribute::Point((0..n).map(value).collect())
-        }
-        Interpolation::FaceVarying => {
-            Attribute::Corner(soup.corners.iter().map(|c| c.map(|i| value(i as usize))).collect())
-        }
-    }
-}
-
 /// Normals at points, weighted by area; not unit.
 fn smooth_normals(points: &[Vec3], triangles: &[[u32; 3]]) -> Vec<Vec3> {
     let mut normals = vec![Vec3::ZERO; points.len()];
@@ -465,18 +318,4 @@ fn smooth_normals(points: &[Vec3], triangles: &[[u32; 3]]) -> Vec<Vec3> {
         }
     }
     normals
-}
-
-/// Slot per triangle; the last subset that claims a face wins (families are non-overlapping).
-fn slots(mesh: &flat::Mesh, faces: &[u32]) -> Option<Vec<u16>> {
-    if mesh.geom_subsets.is_empty() {
-        return None;
-    }
-    let mut by_face = vec![0_u16; mesh.face_vertex_counts.len()];
-    for (i, subset) in mesh.geom_subsets.iter().enumerate() {
-        for &face in subset.indices.iter() {
-            by_face[face as usize] = i as u16 + 1;
-        }
-    }
-    Some(faces.iter().map(|&f| by_face[f as usize]).collect())
 }

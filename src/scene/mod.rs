@@ -2,6 +2,7 @@
 
 pub mod accel;
 mod alike;
+mod attribute;
 mod coats;
 mod company;
 mod compile;
@@ -25,12 +26,14 @@ mod rays;
 mod shading;
 mod strands;
 mod tracks;
+mod triangulation;
 
+pub use attribute::Attribute;
 pub use company::Around;
 pub use compile::{CompileStats, Kept, compile, compile_last};
 pub use driven::Driven;
 pub use enclosure::{BoundaryHit, InstanceEnclosure};
-pub use geometry::{Attribute, Geometry};
+pub use geometry::Geometry;
 pub use motion::{Deformation, Keys, Moves, Placed};
 pub use needs::{Explanation, Needs};
 pub use page_out::page_out;
@@ -209,7 +212,7 @@ impl Scene {
             return value.truncate();
         }
         let (triangle, uv) = (at.triangle as usize, at.barycentric);
-        let value = |values: &geometry::Values| values.at(triangle, geometry.triangles[triangle], uv.x, uv.y);
+        let value = |values: &attribute::Values| values.at(triangle, geometry.triangles[triangle], uv.x, uv.y);
         geometry.primvars.get(name).map_or(Vec3::ZERO, |values| value(values).truncate())
     }
 

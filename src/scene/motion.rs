@@ -2,7 +2,7 @@
 
 use super::Instance;
 use super::accel::{Aabb, MovingBlas, Ray, TriHit, between};
-use super::geometry::Attribute;
+use super::attribute::Attribute;
 use crate::flat::{Matrix4d, TransformKeys};
 use crate::math::Affine;
 use glam::Vec3;

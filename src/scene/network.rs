@@ -4,7 +4,7 @@
 //! footprint, so that an image knows how much of it is seen whatever transforms its coordinates.
 
 use super::InstancePrimvars;
-use super::geometry::Values;
+use super::attribute::Values;
 use super::image::{Image, ImageCache, Sampling};
 use crate::flat::{Network, Node, Op, Wrap};
 use glam::{Vec2, Vec4};

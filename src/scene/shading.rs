@@ -1,6 +1,6 @@
 //! Surface points: where a ray has hit, how the surface lies there, and what it is made of.
 
-use super::geometry::Attribute;
+use super::attribute::Attribute;
 use super::{Coating, CoatingAt, Driven, Instance, Moment, SurfaceHit, network};
 use crate::bsdf::Side;
 use crate::interaction::{Interaction, shading_normal};

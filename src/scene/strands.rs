@@ -1,6 +1,6 @@
 //! Curves in a hair material: where a hit lies on its strand.
 
-use super::geometry::{Attribute, Values};
+use super::attribute::{Attribute, Values};
 use crate::math::{Affine, Frame};
 use glam::{Vec2, Vec3};
 use std::collections::BTreeMap;
