@@ -24,22 +24,22 @@ ALIASES = {
     "ACEScg": "lin_ap1_scene",
 }
 
-#: Names for values that are no colours, beside those that usd-core has.
-DATA = ("raw", "Raw", "data", "none")
+#: Names for values that are no colours: other programs', and those of usd-core's for which Gf.ColorSpace.IsData, where a
+#: version has it, is true.
+DATA = ("raw", "Raw", "data", "none", "identity", "unknown")
 
 
 def known(name: str) -> Gf.ColorSpace | None:
     """A space by usd-core's name or alias, with or without `_scene`; None for data and for what it does not know."""
     for spelled in (ALIASES.get(name, name), f"{name}_scene"):
         if Gf.ColorSpace.IsValid(spelled):
-            space = Gf.ColorSpace(spelled)
-            return None if space.IsData() else space
+            return None if spelled in DATA else Gf.ColorSpace(spelled)
     return None
 
 
 def is_data(name: str) -> bool:
     """Whether values in a space of that name are no colours."""
-    return name in DATA or (Gf.ColorSpace.IsValid(name) and Gf.ColorSpace(name).IsData())
+    return name in DATA
 
 
 def linear_name(name: str) -> str | None:
