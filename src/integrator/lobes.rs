@@ -1,7 +1,7 @@
 //! By which lobes a path has come: layers of the image by those of the first vertex, lights that shine on some lobes
 //! more than on others by those of the last.
 
-use super::{Bucket, Path, Previous};
+use super::{Bucket, Path};
 use crate::bsdf::{Bsdf, Response};
 use crate::film::Lobe;
 use crate::math::Rgb;
@@ -70,7 +70,8 @@ impl Path<'_> {
     /// The path goes on by `by`.
     pub(super) fn turned(&mut self, by: Option<Response>) {
         if self.by.told {
-            if matches!(self.previous, Previous::Camera) {
+            // The surface that the bucket of direct light names, too.
+            if self.bucket == Bucket::Direct {
                 self.by.first = by;
             }
             self.by.last = by;

@@ -58,7 +58,7 @@ impl Path<'_> {
         before: Rgb,
         first: bool,
     ) {
-        let bucket = self.bucket;
+        let bucket = self.bucket_of_media();
         let (Some(region), Some(log)) = (region, &mut self.log) else { return };
         if log.walks.len() < MOST {
             let correction = controls.filter(|_| first).map_or(Rgb::ZERO, |controls| controls.correction(&ratios));

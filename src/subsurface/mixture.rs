@@ -93,11 +93,13 @@ pub fn walk_mixture<E: Enclosure, V: Visitor>(
         if walk.prefix.collisions % ROULETTE_EVERY == 0 && !walk.survives(sampler) {
             return walk.end(WalkEnd::Absorbed, At::Collision, stats);
         }
-        if V::AT_COLLISIONS {
-            scattered = Some((steps.p, walk.scatter_lit(steps.p, visitor, sampler)));
+        let pdf = if V::AT_COLLISIONS {
+            walk.scatter_lit(steps.p, visitor, sampler)
         } else {
             walk.prefix.last = walk.direction(sampler);
-        }
+            f32::NAN
+        };
+        scattered = Some((steps.p, pdf));
     }
     // The formula of a boundary without its last segment is that of a direction just drawn.
     walk.end(WalkEnd::TooLong, At::Boundary, stats)

@@ -36,7 +36,8 @@ pub struct Start<H> {
 #[derive(Debug, Clone, Copy)]
 pub enum WalkEnd<H> {
     /// At boundary point `hit`, `p`, travelling along `d`; `weight` includes that of the start. `scattered` is the
-    /// last collision and the solid-angle pdf with which it chose `d`; `None` if the walk never scattered.
+    /// last collision and the solid-angle pdf with which it chose `d`, NaN from a walk of the mixture that keeps none;
+    /// `None` if the walk never scattered.
     Boundary { hit: H, p: Vec3, d: Vec3, weight: Rgb, scattered: Option<(Vec3, f32)> },
     /// Nothing left to carry.
     Absorbed,

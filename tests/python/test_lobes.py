@@ -221,6 +221,22 @@ def test_media_answer_as_what_is_diffuse(boundary, kind):
         np.testing.assert_allclose(seen, plain.color[..., :3], rtol=1e-5)
 
 
+@pytest.mark.parametrize("boundary", ["diffuse", "dielectric", "indexMatched"])
+def test_control_variates_are_in_the_layers(boundary):
+    look = preview(
+        "float inputs:subsurface = 1",
+        "color3f inputs:subsurfaceColor = (0.8, 0.6, 0.4)",
+        "color3f inputs:subsurfaceRadius = (0.03, 0.02, 0.01)",
+        f'token inputs:subsurfaceBoundary = "{boundary}"',
+        "float inputs:roughness = 0.3",
+    )
+    settings = {"walk": "mixture", "samples": 256, "aovs": tuple(CELLS)}
+    image = rendered(look + BLOCK, lamp("RectLight"), **settings)
+    assert image.stats["guide"]["control_regions"] > 0
+    assert mean(image["subsurface"].astype(float)).min() > 0.0
+    assert_parts(image)
+
+
 def test_guided_walks_and_small_lights():
     """What is learned of a dimmed light is another thing: z-scores; smooth dielectrics are connected to."""
     for boundary in ("diffuse", "dielectric"):

@@ -24,8 +24,8 @@ ALIASES = {
     "ACEScg": "lin_ap1_scene",
 }
 
-#: Names for values that are no colours: other programs', and those of usd-core's for which Gf.ColorSpace.IsData, where a
-#: version has it, is true.
+#: Names for values that are no colours: other programs', and usd-core's (Gf.ColorSpace.IsData, which USD before 26.11
+#: does not have).
 DATA = ("raw", "Raw", "data", "none", "identity", "unknown")
 
 
