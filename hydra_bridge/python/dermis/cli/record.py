@@ -142,7 +142,8 @@ class Recorder:
             print(f"Recording time code: {when.GetValue():f}", flush=True)
         self.printer.print(loaded.warnings)
         for i, view in enumerate(loaded.views):
-            if i > 0:
+            # The delegate has those of the last view of the frame before.
+            if len(loaded.views) > 1:
                 loaded.delegate.set_settings(json.dumps(view.settings))
                 loaded.camera = view.camera
             loaded.delegate.commit(last and view is loaded.views[-1])
