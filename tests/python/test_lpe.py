@@ -61,6 +61,17 @@ OF_OTHERS = {
     "C<RS>+[LO]": None,
     "C<RD>.*<L.'key'>": None,
     "C<RD>.*[^O]": "diffuse",
+    # What is left out is not kept apart: lights of a group, labels of other renderers, fog, the background.
+    "C.*<L.[^'key']>": None,
+    "C.*<L.[^'coat']>": None,
+    "C.*<L.[^'subsurface']>": None,
+    "C<RS[^'clearcoat']>.*L": None,
+    "C<RS[^'clearcoat''coat']>.*L": None,
+    "C.*[^'key']": None,
+    "C[^V].*[LO]": None,
+    "C<[^V].>.*[LO]": None,
+    "C.*[^B]": None,
+    "C<T[^s]>.*L": None,
 }
 
 
@@ -70,7 +81,8 @@ def test_expressions_of_other_renderers(text):
 
 
 @pytest.mark.parametrize(
-    "text", ["", "L", "C[", "C<RD", "C'", "C*L", "C<RD>**", "C)", "C(", "C<RD'x>L", "Cz"]
+    "text",
+    ["", "L", "C[", "C<RD", "C'", "C*L", "C<RD>**", "C)", "C(", "C<RD'x>L", "Cz", "CD{" + "9" * 5000 + "}L"],
 )
 def test_what_is_no_expression(text):
     assert cells_of(text) == ()

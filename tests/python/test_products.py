@@ -9,7 +9,7 @@ pytest.importorskip("dermis._core", reason="the Rust core is not built")
 
 from command_line import CAMERA, CARD, DOME, channels, names, read_exr, run, stage_text, write_stage
 
-from dermis.products import flatten_products
+from dermis.products import flatten_products, source_aov
 from dermis.reading import Reader, Report
 
 METADATA = 'renderSettingsPrimPath = "/Render/S"'
@@ -133,6 +133,18 @@ def test_products_of_a_sequence(stage, tmp_path, capsys):
     assert "same.exr is that of the frame before, too" in capsys.readouterr().err
 
 
+def test_every_frame_of_several_products_has_the_settings_of_each(stage, tmp_path):
+    file = stage(
+        product("A", f"{tmp_path}/a.#.exr", "beauty"),
+        product("B", f"{tmp_path}/b.#.exr", "beauty", "uniform int2 resolution = (6, 4)"),
+    )
+    assert run("record", file, "-f", "1:3") == 0
+    shapes = {name: channels(tmp_path / name)["R"].shape for name in names(tmp_path) if name[1] == "."}
+    assert shapes == {
+        f"{of}.{n}.exr": size for of, size in (("a", (8, 16)), ("b", (4, 6))) for n in (1, 2, 3)
+    }
+
+
 @pytest.mark.parametrize(
     ("source", "kind", "aov"),
     [
@@ -170,6 +182,26 @@ def test_sources(make_stage, source, kind, aov):
     # A product without a var that can be written has the beauty.
     assert [layer["aov"] for layer in found[0].layers] == [aov or "color"]
     assert len(report.warnings) == (2 if aov is None else 0)
+
+
+@pytest.mark.parametrize(
+    ("name", "source", "kind", "aov", "said"),
+    [
+        ("diffuse", "diffuse+subsurface", "raw", "diffuse+subsurface", []),
+        ("diffuse", "C<RD>.+L", "raw", "indirectDiffuse", []),
+        ("diffuse", "C.*<L.'key'>", "raw", "light_key", []),
+        ("diffuse", "light_key", "raw", "light_key", []),
+        ("diffuse", "z", "raw", "depth", []),
+        ("diffuse", "", "raw", "diffuse", []),
+        ("diffuse", "elsewhere", "raw", "diffuse", ["'diffuse', as the var is named, is"]),
+        ("diffuse", "C<RD[^'skin']>.*L", "lpe", "diffuse", ["its own is written"]),
+    ],
+)
+def test_the_source_of_a_var_counts_before_its_name(make_stage, name, source, kind, aov, said):
+    found, report = make_stage(var(name, source, kind)), Report()
+    assert source_aov(found.GetPrimAtPath(f"/{name}"), Reader(1.0, report)) == aov
+    assert len(report.warnings) == len(said)
+    assert all(words in message for words, (_, message) in zip(said, report.warnings, strict=True))
 
 
 def test_deep_products_are_dropped_with_a_warning(make_stage):

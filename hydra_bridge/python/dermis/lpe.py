@@ -22,12 +22,20 @@ EVENTS = {
     "b": ("T", "D", "subsurface"),
     "v": ("V", "", ""),
     "L": ("L", "", ""),
-    "l": ("L", "", "of a group"),
+    "l": ("L", "", "coat"),
+    "m": ("L", "", "subsurface"),
     "O": ("O", "", ""),
     "B": ("B", "", ""),
 }
 """Events by a letter of their own: type, scattering, label. Coats are not kept apart: an expression that leaves them
-out is none of dermis'. S and G are one, as RenderMan and Arnold have S alone, Karma G alone."""
+out is none of dermis'. S and G are one, as RenderMan and Arnold have S alone, Karma G alone. A group of lights may have
+the label of a lobe."""
+
+LABELS = ("coat", "subsurface")
+"""Of lobes."""
+
+NOT_APART = (("V", "", ""), ("B", "", ""), ("", "s", ""))
+"""Fog, the background, straight ways: in layers of dermis together with others, so that none is without them."""
 
 FIRST = {"Diffuse": "d", "Specular": "gc", "Transmission": "t"}
 """First events of the parts of a lobe."""
@@ -49,7 +57,7 @@ def cells_of(text: str) -> tuple[str, ...]:
     try:
         pattern = Reader(re.sub(r"\s+", "", text).replace('"', "'")).pattern()
         answered = {cell: {len(path) in pattern(path, {0}) for path in paths_of(cell)} for cell in CELLS}
-    except (NotRead, RecursionError):
+    except (ValueError, RecursionError):  # NotRead, and counts of thousands of digits
         return ()
     found = []
     for cell, answers in answered.items():
@@ -79,7 +87,7 @@ def paths_of(cell: str) -> Iterator[str]:
     else:
         lobe = cell.removeprefix("direct").removeprefix("indirect")
         firsts, later = list(FIRST[lobe]), [""] if cell.startswith("direct") else list(more())
-    return (first + rest + light for first in firsts for rest in later for light in "Ll")
+    return (first + rest + light for first in firsts for rest in later for light in "Llm")
 
 
 def more() -> Iterator[str]:
@@ -186,10 +194,7 @@ class Reader:
     def event(self) -> Test:
         """One event: a letter, a label, a set of events, or type, scattering and labels in angles."""
         if self.taken("["):
-            inverse, tests = self.taken("^"), []
-            while not self.taken("]"):
-                tests.append(self.event())
-            return lambda event: any(test(event) for test in tests) != inverse
+            return self.members(self.event)
         if self.taken("<"):
             tests = []
             while not self.taken(">"):
@@ -205,18 +210,26 @@ class Reader:
             raise NotRead(self.text)
         return has(letter, place)
 
+    def members(self, member: Callable[[], Test]) -> Test:
+        """What is left of a set in brackets: one of its members, or with ^ none of them."""
+        inverse, tests = self.taken("^"), []
+        while not self.taken("]"):
+            tests.append(member())
+        if inverse and any(test(event) for test in tests for event in NOT_APART):
+            raise NotRead(self.text)
+        return lambda event: any(test(event) for test in tests) != inverse
+
     def field(self, place: int) -> Test:
         """What an event in angles has in `place`, or its label, which may come early."""
         if self.taken("["):
-            inverse, tests = self.taken("^"), []
-            while not self.taken("]"):
-                tests.append(self.field(place))
-            return lambda event: any(test(event) for test in tests) != inverse
+            return self.members(lambda: self.field(place))
         if self.taken("'"):
             end = self.text.find("'", self.at)
             if end < 0:
                 raise NotRead(self.text)
             label, self.at = self.text[self.at : end], end + 1
+            if label not in LABELS:
+                raise NotRead(self.text)
             return has(label, 2)
         letter = self.next()
         if letter == ".":

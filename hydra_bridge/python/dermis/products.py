@@ -124,24 +124,33 @@ def source_aov(var: Usd.Prim, reader: Reader) -> str | None:
         return PRIMVAR + source.removeprefix(PRIMVAR)
     if kind not in ("raw", "intrinsic"):
         reader.warn(var, f"sourceType: '{kind}' is not known; it is taken as 'raw'")
-    name = RAW_SOURCES.get(source) or RAW_SOURCES.get(var.GetName())
-    if source.startswith(LIGHT_AOV) and source != LIGHT_AOV:
+    if found := raw_aov(source):
+        return found
+    why = NOT_KEPT.get(source, "it is no AOV of dermis")
+    if own := RAW_SOURCES.get(var.GetName()):
+        reader.warn(var, f"sourceName: '{source}' is not written: {why}; '{own}', as the var is named, is")
+        return own
+    reader.warn(var, f"sourceName: '{source}' is not written: {why}")
+    return None
+
+
+def raw_aov(source: str) -> str | None:
+    """The AOV of a raw source, which many exporters write light path expressions as."""
+    if (source.startswith(LIGHT_AOV) and source != LIGHT_AOV) or is_sum(source):
         return source
-    if name is None:
-        # Written as a raw source by many exporters.
-        name = source if is_sum(source) else named_lpe(source)
-    if name is None:
-        why = NOT_KEPT.get(source, "it is no AOV of dermis")
-        reader.warn(var, f"sourceName: '{source}' is not written: {why}")
-    return name
+    return RAW_SOURCES.get(source) or read_lpe(source)
+
+
+def read_lpe(text: str) -> str | None:
+    """The AOV of an expression: a sum of parts, or the light of a group."""
+    plain = re.sub(r"\s+", "", text).replace('"', "'")
+    label = OF_LIGHT.match(plain)
+    return named_lpe(plain) or (LIGHT_AOV + label[1] if label else None)
 
 
 def lpe_aov(var: Usd.Prim, text: str, reader: Reader) -> str | None:
-    plain = re.sub(r"\s+", "", text).replace('"', "'")
-    if found := named_lpe(plain):
+    if found := read_lpe(text):
         return found
-    if label := OF_LIGHT.match(plain):
-        return LIGHT_AOV + label[1]
     # The name of the var says what it is for, where the expression has labels of another renderer.
     if var.GetName() in SUMS:
         reader.warn(
