@@ -2,7 +2,10 @@
 
 import json
 import random
+import sys
+import time
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from conftest import stage_of
@@ -152,6 +155,39 @@ def test_the_edit_of_a_prim_looks_at_that_prim_alone(counted):
     assert set(flatten_prim(of.GetPrimAtPath("/Door"), 1.0).prims) == {"/Dome"}
 
 
+def test_many_edits_cost_no_more_than_a_look_at_everything():
+    of, roots = many(0), 3000
+    for i in range(roots):
+        UsdLux.SphereLight.Define(of, f"/R{i}/L")
+    found, start = Index(of), time.perf_counter()
+    assert len(found.lights(of)) == roots + 2
+    whole = time.perf_counter() - start
+    found.stale.subtrees.update(Sdf.Path(f"/R{i}") for i in range(roots))
+    found.stale.prims.update(Sdf.Path(f"/R{i}/L") for i in range(roots))
+    start = time.perf_counter()
+    assert len(found.lights(of)) == roots + 2
+    assert time.perf_counter() - start < 5.0 * whole + 0.1
+
+
+@pytest.fixture
+def restless():
+    """Threads take turns as often as they can."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    yield
+    sys.setswitchinterval(before)
+
+
+def test_threads_may_flatten_one_stage(restless):
+    of = many(100)
+    expected = said(of, Index(of))
+    with ThreadPoolExecutor(8) as pool:
+        for _ in range(30):
+            index_of(of).stale.subtrees.add(Sdf.Path.absoluteRootPath)
+            answers = list(pool.map(lambda _: said(of, index_of(of)), range(8)))
+            assert all(answer == expected for answer in answers)
+
+
 # Instances
 
 
@@ -222,6 +258,32 @@ def test_a_skeleton_that_is_edited_moves_its_mesh():
     assert (after == fresh).all() and not (after == before).all()
 
 
+@pytest.mark.parametrize(
+    ("name", "edited"),
+    [
+        ("Rotations", lambda old: Gf.Quatf(0.8, 0.0, 0.0, 0.6)),
+        ("Translations", lambda old: old + Gf.Vec3f(0, 1, 0)),
+        ("Scales", lambda old: old * 2),
+    ],
+)
+def test_an_animation_that_is_edited_moves_its_mesh(name, edited):
+    of = herd(1)
+    anim = UsdSkel.Animation.Get(of, "/Hero/Anim")
+    attribute = getattr(anim, f"Get{name}Attr")()
+    rest = attribute.Get(1.0)
+    attribute.Clear()
+    attribute.Set(rest)
+    before = flatten(of, 5.0).prims["/Hero/Body0"]["points"]
+    # UsdSkel looks once whether there are samples.
+    attribute.Set(type(rest)([edited(value) for value in rest]), 5.0)
+    after = flatten(of, 5.0).prims["/Hero/Body0"]["points"]
+    fresh = flatten(Usd.Stage.Open(of.Flatten()), 5.0).prims["/Hero/Body0"]["points"]
+    assert (after == fresh).all() and not (after == before).all()
+    assert index_of(of).skeletons
+    anim.GetBlendShapeWeightsAttr().Set([0.5, 0.5], 5.0)
+    assert not index_of(of).skeletons
+
+
 # Frames
 
 RANGE = """
@@ -288,3 +350,20 @@ def test_a_stage_that_was_edited_between_frames_is_read_again():
     UsdGeom.Sphere.Get(of, "/World/Ball").GetRadiusAttr().Set(3.0)
     second = flatten(of, 2.0, previous=first)
     assert abs(second.prims["/World/Ball"]["points"]).max() > 2.9
+
+
+def test_meshes_of_another_stage_are_read():
+    first = flatten(stage_of(RANGE, SHOT), 1.0)
+    larger = 'def Sphere "Ball"\n    {\n        double radius = 3\n'
+    other = stage_of(RANGE.replace('def Sphere "Ball"\n    {\n', larger), SHOT)
+    assert abs(flatten(other, 1.0, previous=first).prims["/World/Ball"]["points"]).max() > 2.9
+
+
+def test_inherited_indices_with_samples_are_read_in_every_frame():
+    indexed = "color3f[] primvars:displayColor = [(1, 0, 0), (0, 1, 0)]\n"
+    indexed += "    int[] primvars:displayColor:indices.timeSamples = {1: [0], 2: [1]}"
+    of = stage_of(RANGE.replace("color3f[] primvars:displayColor = [(1, 0, 0)]", indexed), SHOT)
+    first = flatten(of, 1.0)
+    second = flatten(of, 2.0, previous=first)
+    colors = [flat.prims["/World/Ball"]["displayColor"]["indices"].tolist() for flat in (first, second)]
+    assert colors == [[0], [1]]

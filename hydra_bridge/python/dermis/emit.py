@@ -270,7 +270,8 @@ def is_still(found: Found) -> bool:
     prim, names = found.prim, found.prim.GetAuthoredPropertyNames()
     if "velocities" in names or found.context.skel or is_skinned(prim):
         return False
-    inherited = [primvar.GetAttr() for primvar in found.context.inherited().values()]
+    # A primvar's indices, too, may have samples.
+    inherited = found.context.inherited().values()
     return not any(a.ValueMightBeTimeVarying() for a in (*prim.GetAuthoredAttributes(), *inherited))
 
 

@@ -7,6 +7,8 @@ at again, so that the edit of one prim costs that of one prim.
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from itertools import count
+from threading import RLock
 from typing import Any
 from weakref import WeakKeyDictionary, ref
 
@@ -26,7 +28,10 @@ MOVING = frozenset(
 """Attributes whose samples are times at which something may move, beside xformOps."""
 
 OF_LINKS = ("collection:", "light")
-OF_SKELETONS = ("skel:", "primvars:skel:", "joint", "bindTransforms", "restTransforms", "blendShapes")
+OF_SKELETONS = (
+    *("skel:", "primvars:skel:", "joint", "bindTransforms", "restTransforms", "blendShape"),
+    *("rotations", "translations", "scales"),
+)
 OF_SHADERS = ("inputs:", "outputs:")
 """How properties begin that are read once and kept: by light links, by UsdSkel's cache, of primvars."""
 
@@ -87,14 +92,21 @@ class Stale:
     prims: set[Sdf.Path] = field(default_factory=set)
 
 
+VERSIONS = count()
+"""Of all stages, so that what was read of one is never taken for another's."""
+
+
 class Index:
-    """Of one stage, which it does not keep alive: every call takes it."""
+    """Of one stage, which it does not keep alive: every call takes it. Threads may flatten one stage at a time that
+    nobody edits."""
 
     def __init__(self, stage: Usd.Stage) -> None:
         self.facts: dict[Sdf.Path, Facts] = {}
         self.prototypes: set[Sdf.Path] = set()
+        #: Held while anything is looked up or noted.
+        self.lock = RLock()
         #: Changes whenever the stage does.
-        self.version = 0
+        self.version = next(VERSIONS)
         self.stale = Stale({Sdf.Path.absoluteRootPath})
         #: UsdSkel.Cache by SkelRoot.
         self.skeletons: dict[str, Any] = {}
@@ -104,13 +116,14 @@ class Index:
 
         def note(notice: Usd.Notice.ObjectsChanged, sender: Any) -> None:
             if (index := me()) is not None:
-                index.note(notice)
+                with index.lock:
+                    index.note(notice)
 
         # USD does not keep what it calls.
         self.listener = note, Tf.Notice.Register(Usd.Notice.ObjectsChanged, note, stage)
 
     def note(self, notice: Usd.Notice.ObjectsChanged) -> None:
-        self.version += 1
+        self.version = next(VERSIONS)
         resynced = notice.GetResyncedPaths()
         for path in (*resynced, *notice.GetChangedInfoOnlyPaths()):
             if path.IsPropertyPath():
@@ -131,13 +144,15 @@ class Index:
 
     def fresh(self, stage: Usd.Stage) -> dict[Sdf.Path, Facts]:
         """The facts, after a look at what changed."""
-        stale, self.stale = self.stale, Stale()
-        if stale.subtrees:
-            self.resync(stage, stale.subtrees)
-        for path in stale.prims:
-            if not any(path.HasPrefix(root) for root in stale.subtrees):
-                self.look(path, stage.GetPrimAtPath(path))
-        return self.facts
+        with self.lock:
+            stale, self.stale = self.stale, Stale()
+            if stale.subtrees:
+                self.resync(stage, stale.subtrees)
+            for path in stale.prims:
+                if not is_below(path, stale.subtrees):
+                    self.look(path, stage.GetPrimAtPath(path))
+            # Another thread may bring it up to date while this one goes through it.
+            return dict(self.facts)
 
     def resync(self, stage: Usd.Stage, subtrees: set[Sdf.Path]) -> None:
         """Looks again at subtrees, and at prototypes that came or went with them."""
@@ -147,9 +162,9 @@ class Index:
             roots = [Sdf.Path.absoluteRootPath, *prototypes]
             self.facts.clear()
         self.prototypes = prototypes
+        gone = set(roots)
+        self.facts = {path: found for path, found in self.facts.items() if not is_below(path, gone)}
         for root in roots:
-            for path in [path for path in self.facts if path.HasPrefix(root)]:
-                del self.facts[path]
             prim = stage.GetPrimAtPath(root)
             there = prim and not prim.IsInstanceProxy()
             for below in Usd.PrimRange(prim, Usd.PrimAllPrimsPredicate) if there else ():
@@ -170,10 +185,9 @@ class Index:
         # Point instancers take prototypes that are `over` or `class`, too.
         return sorted((p for p in prims if p.IsActive() and p.IsLoaded()), key=Usd.Prim.GetPath)
 
-    def domes(self, stage: Usd.Stage) -> Iterator[Usd.Prim]:
-        for path, found in self.fresh(stage).items():
-            if found.dome:
-                yield from filter(shows, proxies(stage.GetPrimAtPath(path)))
+    def domes(self, stage: Usd.Stage) -> list[Usd.Prim]:
+        paths = [path for path, found in self.fresh(stage).items() if found.dome]
+        return [prim for path in paths for prim in proxies(stage.GetPrimAtPath(path)) if shows(prim)]
 
     def cameras(self, stage: Usd.Stage, name: str) -> list[Usd.Prim]:
         """Those of a name, in no order."""
@@ -183,25 +197,26 @@ class Index:
 
     def primvars_read(self, stage: Usd.Stage) -> set[str]:
         """Names of those that shaders read."""
-        known = self.fresh(stage)
-        if self._primvars is None:
-            shaders = (stage.GetPrimAtPath(path) for path, found in known.items() if found.reads)
-            self._primvars = {name for shader in shaders if shows(shader) for name in primvars_of(shader)}
-        return self._primvars
+        with self.lock:
+            known = self.fresh(stage)
+            if self._primvars is None:
+                shaders = (stage.GetPrimAtPath(path) for path, found in known.items() if found.reads)
+                self._primvars = {name for shader in shaders if shows(shader) for name in primvars_of(shader)}
+            return self._primvars
 
-    def movers(self, stage: Usd.Stage) -> Iterator[tuple[Usd.Prim, Facts]]:
+    def movers(self, stage: Usd.Stage) -> list[tuple[Usd.Prim, Facts]]:
         """Prims with attributes of `MOVING` that have samples, or that go by other rules than straight ones."""
-        for path, found in self.fresh(stage).items():
-            if found.moving or found.bends:
-                yield stage.GetPrimAtPath(path), found
+        known = self.fresh(stage).items()
+        return [(stage.GetPrimAtPath(path), found) for path, found in known if found.moving or found.bends]
 
     def links(self, stage: Usd.Stage) -> tuple[Links, Report]:
         """Light links, and what there is to be said of them. Expressions may ask for anything of the stage: what they
         find is not kept."""
-        if self._links is None or not self._links[0].by_rules:
-            report = Report()
-            self._links = Links(self.lights(stage), report), report
-        return self._links
+        with self.lock:
+            if self._links is None or not self._links[0].by_rules:
+                report = Report()
+                self._links = Links(self.lights(stage), report), report
+            return self._links
 
     def skeletons_of(self, root: Usd.Prim) -> Any:
         """UsdSkel.Cache of a SkelRoot; one each, for instances that share a skeleton may bind different animations to
@@ -209,21 +224,30 @@ class Index:
         from pxr import UsdSkel  # only where there are skeletons
 
         path = str(root.GetPath())
-        if path not in self.skeletons:
-            self.skeletons[path] = UsdSkel.Cache()
-            self.skeletons[path].Populate(UsdSkel.Root(root), Usd.TraverseInstanceProxies())
-        return self.skeletons[path]
+        with self.lock:
+            if path not in self.skeletons:
+                self.skeletons[path] = UsdSkel.Cache()
+                self.skeletons[path].Populate(UsdSkel.Root(root), Usd.TraverseInstanceProxies())
+            return self.skeletons[path]
 
 
 INDICES: "WeakKeyDictionary[Usd.Stage, Index]" = WeakKeyDictionary()
+MAKING = RLock()
+"""Held while one is looked for: a stage has one index."""
 
 
 def index_of(stage: Usd.Stage) -> Index:
     """The index of a stage, made when it is first asked for."""
-    index = INDICES.get(stage)
-    if index is None:
-        index = INDICES[stage] = Index(stage)
-    return index
+    with MAKING:
+        index = INDICES.get(stage)
+        if index is None:
+            index = INDICES[stage] = Index(stage)
+        return index
+
+
+def is_below(path: Sdf.Path, roots: set[Sdf.Path]) -> bool:
+    """Whether `path` is one of `roots` or below one: in a time that does not grow with their number."""
+    return Sdf.Path.absoluteRootPath in roots or not roots.isdisjoint(path.GetPrefixes())
 
 
 def proxies(prim: Usd.Prim) -> Iterable[Usd.Prim]:
