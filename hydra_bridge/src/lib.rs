@@ -105,6 +105,10 @@ impl Delegate {
         self.with(py, |core| serde_json::to_string(core.settings())).map_err(|e| json_error("settings", e))
     }
 
+    fn clear_warnings(&self, py: Python<'_>) {
+        self.with(py, RenderDelegate::clear_warnings);
+    }
+
     fn warn(&self, py: Python<'_>, path: &str, message: &str) {
         self.with(py, |core| core.warn(Warning::new(path, message)));
     }

@@ -12,7 +12,7 @@ use crate::error::{Error, Result, Warning};
 use crate::film::Plane;
 use crate::flat::{self, FlatScene, Prim, RenderSettings, StageInfo, validate};
 use crate::render::{Keep, Progress, Report, film_for, render};
-use crate::scene::{CompileStats, Kept, Residency, Scene, compile, compile_last, page_out};
+use crate::scene::{CompileStats, Kept, Residency, Scene, compile, compile_last, eye_of, page_out};
 use pass::Pass;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -45,10 +45,14 @@ bitflags::bitflags! {
 /// World bounds.
 type Bounds = ([f64; 3], [f64; 3]);
 
+/// Least and greatest coordinates in the space of a mesh.
+type ObjectBox = (glam::Vec3, glam::Vec3);
+
 /// What is asked of a scene whose meshes were let go.
 struct Last {
     digest: u64,
-    bounds: Option<Bounds>,
+    /// Of points, by mesh.
+    boxes: BTreeMap<String, ObjectBox>,
 }
 
 #[derive(Default)]
@@ -232,6 +236,11 @@ impl RenderDelegate {
         Ok(())
     }
 
+    /// Lets go the warnings from the bridge, which flattens anew.
+    pub fn clear_warnings(&mut self) {
+        self.flat.warnings.clear();
+    }
+
     /// Adds a warning from the bridge.
     pub fn warn(&mut self, warning: Warning) {
         self.flat.warnings.push(warning);
@@ -265,7 +274,11 @@ impl RenderDelegate {
     /// The same where no edit follows: what meshes are made of is let go.
     pub fn commit_last(&mut self) -> Result<CompileStats> {
         let named = self.checked()?;
-        self.last = Some(Last { digest: fingerprint::of_scene(&self.flat), bounds: self.bounds() });
+        // Before anything is gone: what fails can be mended.
+        eye_of(&named)?;
+        let boxes =
+            self.flat.meshes.iter().filter_map(|(path, mesh)| Some((path.clone(), object_box(mesh)?))).collect();
+        self.last = Some(Last { digest: fingerprint::of_scene(&self.flat), boxes });
         self.authored.clear();
         self.flat.meshes.values_mut().for_each(flat::Mesh::let_go);
         let (scene, stats) = compile_last(named, &mut self.kept, &mut self.commit_warnings)?;
@@ -296,26 +309,30 @@ impl RenderDelegate {
         self.scene.as_ref()
     }
 
-    /// World bounds of the visible meshes.
+    /// Around the visible meshes in the world: around the corners of their own boxes, so wider than their points where
+    /// these are turned.
     pub fn bounds(&self) -> Option<Bounds> {
-        if let Some(last) = &self.last {
-            return last.bounds;
-        }
         let mut bounds = None::<(glam::DVec3, glam::DVec3)>;
-        for mesh in self.flat.meshes.values().filter(|mesh| mesh.visible) {
-            let instancer = self.flat.instancers.get(&mesh.instancer);
-            let placements = instancer.map_or(&[flat::IDENTITY][..], |instancer| &instancer.transforms);
-            for placement in placements {
-                let (a, b) =
-                    (glam::DMat4::from_cols_array_2d(placement), glam::DMat4::from_cols_array_2d(&mesh.transform));
-                for p in mesh.points.iter().filter(|p| p.iter().all(|x| x.is_finite())) {
-                    let p = (a * b).transform_point3(glam::Vec3::from(*p).as_dvec3());
-                    let (min, max) = bounds.unwrap_or((p, p));
-                    bounds = Some((min.min(p), max.max(p)));
-                }
+        for (path, mesh) in self.flat.meshes.iter().filter(|(_, mesh)| mesh.visible) {
+            let known = self.last.as_ref().map(|last| last.boxes.get(path).copied());
+            let Some(own) = known.unwrap_or_else(|| object_box(mesh)) else { continue };
+            for place in self.places(mesh) {
+                let ends = corners(own).map(|corner| place.transform_point3(corner.as_dvec3()));
+                bounds = ends.iter().fold(bounds, |all, &p| {
+                    let (min, max) = all.unwrap_or((p, p));
+                    Some((min.min(p), max.max(p)))
+                });
             }
         }
         bounds.map(|(min, max)| (min.to_array(), max.to_array()))
+    }
+
+    /// Object to world, by instance.
+    fn places<'a>(&'a self, mesh: &'a flat::Mesh) -> impl Iterator<Item = glam::DMat4> + 'a {
+        let instancer = self.flat.instancers.get(&mesh.instancer);
+        let placements = instancer.map_or(&[flat::IDENTITY][..], |instancer| &instancer.transforms);
+        let own = glam::DMat4::from_cols_array_2d(&mesh.transform);
+        placements.iter().map(move |placement| glam::DMat4::from_cols_array_2d(placement) * own)
     }
 
     /// Starts the render pass in the background; needs a commit.
@@ -385,6 +402,19 @@ impl RenderDelegate {
         self.stop();
         self.clean = false;
     }
+}
+
+/// Around the points of a mesh that are finite.
+fn object_box(mesh: &flat::Mesh) -> Option<ObjectBox> {
+    let points = mesh.points.iter().map(|p| glam::Vec3::from(*p)).filter(|p| p.is_finite());
+    points.fold(None, |all, p| {
+        let (min, max) = all.unwrap_or((p, p));
+        Some((min.min(p), max.max(p)))
+    })
+}
+
+fn corners((min, max): ObjectBox) -> [glam::Vec3; 8] {
+    std::array::from_fn(|i| glam::Vec3::select(glam::BVec3::new(i & 1 > 0, i & 2 > 0, i & 4 > 0), max, min))
 }
 
 impl Drop for RenderDelegate {

@@ -19,7 +19,7 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 /// Raised when an older file could be misread.
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 /// As a number of this machine: another byte order does not match.
 const MAGIC: u64 = u64::from_le_bytes(*b"DERMISCP");
 const END: u64 = u64::from_le_bytes(*b"PCSIMRED");

@@ -51,13 +51,21 @@ pub struct CompileStats {
     pub seconds: f64,
 }
 
+/// The camera that the settings name.
+///
+/// # Errors
+/// There is no such camera: the only fault that a validated scene can have.
+pub fn eye_of(flat: &FlatScene) -> Result<&flat::Camera> {
+    flat.cameras.get(&flat.settings.camera).ok_or_else(|| Error::Prim {
+        prim: flat.settings.camera.clone(),
+        message: format!("no such camera; the scene has: {}", names(flat.cameras.keys())),
+    })
+}
+
 /// Compiles a validated scene; `kept` spares the next call what has not changed.
 pub fn compile(flat: &FlatScene, kept: &mut Kept, warnings: &mut Vec<Warning>) -> Result<(Scene, CompileStats)> {
     let start = std::time::Instant::now();
-    let eye = flat.cameras.get(&flat.settings.camera).ok_or_else(|| Error::Prim {
-        prim: flat.settings.camera.clone(),
-        message: format!("no such camera; the scene has: {}", names(flat.cameras.keys())),
-    })?;
+    let eye = eye_of(flat)?;
     let camera = Camera::compile(eye, &flat.settings);
     let Kept { geometry: cache, images, surfaces } = kept;
     build_images(&flat.images, images);

@@ -30,7 +30,7 @@ mod triangulation;
 
 pub use attribute::Attribute;
 pub use company::Around;
-pub use compile::{CompileStats, Kept, compile, compile_last};
+pub use compile::{CompileStats, Kept, compile, compile_last, eye_of};
 pub use driven::Driven;
 pub use enclosure::{BoundaryHit, InstanceEnclosure};
 pub use geometry::Geometry;

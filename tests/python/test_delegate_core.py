@@ -260,6 +260,52 @@ def test_the_last_commit_lets_go_what_meshes_are_made_of(tmp_path):
             follow()
 
 
+def test_a_last_commit_that_fails_can_be_mended():
+    delegate = Delegate()
+    hydra.populate(delegate.core, flatten(open_stage()))
+    delegate.set_settings(camera="/Nowhere")
+    with pytest.raises(core.CoreError, match="no such camera"):
+        delegate.commit(last=True)
+    delegate.set_settings(camera="/Cam")
+    assert delegate.commit(last=True)["blas_built"] == 2
+
+
+def test_bounds_go_around_the_boxes_of_meshes():
+    turned = np.array([[1, 1, 0, 0], [-1, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], np.float64)
+    moved = np.eye(4)
+    moved[3, 0] = 10.0
+    places = np.stack([np.eye(4), moved])
+    triangle = {
+        "type": "Mesh",
+        "points": np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0)], np.float32),
+        "faceVertexCounts": np.array([3], np.int32),
+        "faceVertexIndices": np.arange(3, dtype=np.int32),
+        "transform": turned.tolist(),
+        "instancer": "/Many",
+    }
+    delegate = Delegate()
+    hydra.populate(delegate.core, flatten(open_stage()))
+    for path in [path for path, prim in flatten(open_stage()).prims.items() if prim["type"] == "Mesh"]:
+        delegate.remove(path)
+    delegate.sync("/Many", {"type": "Instancer", "transforms": places})
+    delegate.sync("/M", triangle)
+    delegate.set_settings(camera="/Cam")
+    for commit in (False, True):
+        delegate.commit(commit)
+        # The corner (1, 1) of the box, where the triangle has no point, goes to (0, 2).
+        assert delegate.core.bounds() == ([-1.0, 0.0, 0.0], [11.0, 2.0, 0.0])
+
+
+def test_warnings_of_the_bridge_are_those_of_the_last_flattening():
+    delegate, said = Delegate(), lambda: [entry["message"] for entry in delegate.stats()["warnings"]]
+    first, second = flatten(open_stage()), flatten(open_stage())
+    first.warnings, second.warnings = [("/A", "in both"), ("/A", "once")], [("/A", "in both"), ("/B", "new")]
+    hydra.populate(delegate.core, first)
+    assert said() == ["in both", "once"]
+    hydra.populate(delegate.core, second, first)
+    assert said() == ["in both", "new"]
+
+
 def test_arrays_of_usd_are_given_back_with_the_last_commit():
     points = Vt.Vec3fArray.FromNumpy(np.eye(3, dtype=np.float32))
     view = np.asarray(points)

@@ -52,6 +52,9 @@ class Delegate:
     def settings(self) -> str:
         """JSON of the current `flat::RenderSettings`, every name with its value."""
 
+    def clear_warnings(self) -> None:
+        """Lets go the warnings of the bridge, before those of another flattening."""
+
     def warn(self, path: str, message: str) -> None:
         """Adds a warning of the bridge to those of the scene."""
 

@@ -134,9 +134,9 @@ def populate(delegate: Any, flat: FlatStage, previous: FlatStage | None = None) 
     sent = edits(flat, old)
     for path, bits in sent.items():
         delegate.sync(path, *encode(flat.prims[path]), int(bits))
+    delegate.clear_warnings()
     for warning in flat.warnings:
-        if warning not in old.warnings:
-            delegate.warn(*warning)
+        delegate.warn(*warning)
     return sent
 
 
