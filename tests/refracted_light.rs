@@ -3,7 +3,10 @@
 mod support;
 
 use dermis::delegate::{DirtyBits, RenderDelegate};
-use dermis::flat::{Light, LightShape, Material, Mesh, PreviewSurface, Prim, RenderSettings, Texture};
+use dermis::flat::{
+    AnyPrimvar, GeomSubset, Interpolation, Light, LightShape, Material, Mesh, Network, Node, PreviewSurface, Prim,
+    Primvar, RenderSettings, Texture,
+};
 use glam::{DMat3, DVec3, Vec3};
 use support::slab::judge;
 use support::{camera, channel, cuboid, mean_and_error, plane, render, scene, settings, sphere};
@@ -179,27 +182,65 @@ fn single_directions_are_small_suns() {
 }
 
 /// Quarters and the whole, channel by channel: means of the pixels' differences over their spread.
+fn compare(name: &str, with: &[f32], without: &[f32], tests: &mut Vec<(String, f64)>) {
+    for c in 0..3 {
+        let (with, without) = (channel(with, c), channel(without, c));
+        let differences: Vec<f64> = with.iter().zip(&without).map(|(a, b)| a - b).collect();
+        let (all, _) = mean_and_error(&without);
+        let mut test = |label: &str, values: &[f64]| {
+            let (mean, error) = mean_and_error(values);
+            eprintln!("{name}, {label} channel {c}: {:+.4} +- {:.4}", mean / all, error / all);
+            tests.push((format!("{name}, {label} channel {c}"), mean / error.max(f64::MIN_POSITIVE)));
+        };
+        test("all", &differences);
+        for quarter in 0..4 {
+            let values = differences.chunks(differences.len() / 4).nth(quarter).expect("four");
+            test(&format!("band {quarter}"), values);
+        }
+    }
+}
+
 #[test]
 fn light_is_neither_lost_nor_counted_twice() {
     let mut tests = Vec::new();
     for case in cases() {
         let with = case.color("on", case.samples, 1);
         let without = case.color("off", 8 * case.samples, 2);
-        for c in 0..3 {
-            let (with, without) = (channel(&with, c), channel(&without, c));
-            let differences: Vec<f64> = with.iter().zip(&without).map(|(a, b)| a - b).collect();
-            let (all, _) = mean_and_error(&without);
-            let mut test = |label: &str, values: &[f64]| {
-                let (mean, error) = mean_and_error(values);
-                eprintln!("{}, {label} channel {c}: {:+.4} +- {:.4}", case.name, mean / all, error / all);
-                tests.push((format!("{}, {label} channel {c}", case.name), mean / error.max(f64::MIN_POSITIVE)));
-            };
-            test("all", &differences);
-            for quarter in 0..4 {
-                let values = differences.chunks(differences.len() / 4).nth(quarter).expect("four");
-                test(&format!("band {quarter}"), values);
-            }
-        }
+        compare(case.name, &with, &without, &mut tests);
     }
     judge("refracted light", tests);
+}
+
+/// Every other face has a normal map: light that enters by a plain one leaves as the map says.
+#[test]
+fn parts_with_bent_normals_are_left_as_they_say() {
+    let mut body = smooth(sphere(16, 0.7));
+    let st = |p: &[f32; 3]| [p[0] + 0.7 * p[2], p[1] + 0.4 * p[2]];
+    let values = body.points.iter().map(st).collect::<Vec<_>>().into();
+    let st = Primvar { interpolation: Interpolation::Vertex, values, indices: None };
+    body.primvars.insert("st".into(), AnyPrimvar::Float2(st));
+    let odd = (0..body.face_vertex_counts.len() as i32).filter(|face| face % 2 == 1).collect::<Vec<_>>();
+    body.geom_subsets = vec![GeomSubset { path: "/O/Odd".into(), indices: odd.into(), material: "/Bent".into() }];
+    let glass = medium([0.9; 3], [0.5; 3], 0.0, 1.4);
+    let network = Network {
+        nodes: vec![Node::Constant { value: [0.6, 0.3, 0.74, 0.0] }],
+        inputs: [("normal".into(), 0)].into(),
+        tangents: "st".into(),
+    };
+    let bent = Material::UsdPreviewSurface(PreviewSurface { network, ..glass.clone() });
+    let color = |refracted_light: &str, samples, seed| {
+        let (eye, plain) = (camera(DVec3::new(1.0, 1.5, 6.0), 13.0), Material::UsdPreviewSurface(glass.clone()));
+        let mut delegate = scene(body.clone(), plain, vec![behind(LightShape::Sphere { radius: 0.7 }, 10.0)], eye);
+        delegate.sync("/Bent", Prim::Material(bent.clone()), DirtyBits::ALL);
+        let set = RenderSettings {
+            walk: "classical".into(),
+            refracted_light: refracted_light.into(),
+            seed,
+            ..settings(SIZE, samples)
+        };
+        plane(&render(&mut delegate, set), "color").to_vec()
+    };
+    let mut tests = Vec::new();
+    compare("patches", &color("on", 1024, 1), &color("off", 4096, 2), &mut tests);
+    judge("bent normals", tests);
 }

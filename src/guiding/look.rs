@@ -160,7 +160,8 @@ pub fn explain(scene: &Scene, settings: &RenderSettings) -> Vec<Explanation> {
             "refracted light",
             bent > 0,
             bent_why,
-            "no smooth dielectric boundary with small lights around it, or exact weights",
+            "no smooth dielectric boundary with small lights around it (meshes are not looked for) and nothing within, or \
+             exact weights",
         ),
         line(
             "exit lights",

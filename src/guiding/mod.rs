@@ -74,8 +74,10 @@ pub struct Guide {
     media: Vec<Option<GuidedMedium>>,
     /// By instance; `None`: nothing to know about its boundary. Boxed: of a million instances few have one.
     pub fields: Vec<Option<Box<Field>>>,
-    /// By instance; `None`, or empty: no collision looks for light there.
-    pub beams: Vec<Option<Box<Beams>>>,
+    /// Of bodies, or of several that share it.
+    beams: Vec<Beams>,
+    /// By instance, index of its own in `beams`; `u32::MAX`, or empty: none.
+    beams_of: Vec<u32>,
     /// By instance, the one whose field it shares; empty: each has its own.
     pub homes: Vec<u32>,
     pub exit_lights: ExitLights,
@@ -109,6 +111,7 @@ impl Guide {
             media: media.collect(),
             fields: scene.instances.iter().map(|_| None).collect(),
             beams: Vec::new(),
+            beams_of: Vec::new(),
             homes: Vec::new(),
             plans,
             light_samples: (EXIT_SAMPLES / scene.lights.len().max(1) as u32).max(1),
@@ -131,11 +134,6 @@ impl Guide {
         plan.needs_cache() || self.exit_lights == ExitLights::Learned
     }
 
-    /// Whether points of a boundary with this plan have to be looked at.
-    pub fn must_probe(&self, plan: &Plan) -> bool {
-        self.must_know(plan) || plan.bends
-    }
-
     /// Share of classical walks that a field starts with.
     pub fn start_fraction(&self, mixture: bool) -> f32 {
         if mixture { self.classical.max(normals::CLASSICAL_START) } else { self.classical }
@@ -148,7 +146,14 @@ impl Guide {
 
     /// The light within `instance` that nothing has scattered yet, if it is known.
     pub fn beams_in(&self, instance: u32) -> Option<&Beams> {
-        self.beams.get(self.home(instance) as usize)?.as_deref()
+        self.beams.get(*self.beams_of.get(instance as usize)? as usize)
+    }
+
+    /// Gives `members`, of `instances`, their beams.
+    pub fn set_beams(&mut self, instances: usize, members: &[u32], beams: Beams) {
+        self.beams_of.resize(instances, u32::MAX);
+        members.iter().for_each(|&member| self.beams_of[member as usize] = self.beams.len() as u32);
+        self.beams.push(beams);
     }
 
     fn region(&self, instance: u32, p: Vec3, n: Vec3) -> Option<RegionId> {
@@ -265,8 +270,10 @@ impl Guide {
     }
 
     pub fn memory(&self) -> usize {
-        let beams: usize = self.beams.iter().flatten().map(|beams| beams.memory()).sum();
-        beams + self.fields.iter().flatten().map(|field| field.memory()).sum::<usize>()
+        let beams: usize = self.beams.iter().map(Beams::memory).sum();
+        beams
+            + size_of::<u32>() * self.beams_of.len()
+            + self.fields.iter().flatten().map(|field| field.memory()).sum::<usize>()
     }
 }
 

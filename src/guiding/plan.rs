@@ -3,7 +3,7 @@
 use crate::bsdf::Boundary;
 use crate::flat::RenderSettings;
 use crate::medium::Medium;
-use crate::scene::{Coating, Driven, Interior, Scene};
+use crate::scene::{Coating, Driven, Instance, Interior, Scene};
 use crate::subsurface::technique::GuidedMedium;
 use serde::Serialize;
 
@@ -77,7 +77,7 @@ pub fn plans(scene: &Scene, settings: &RenderSettings) -> Vec<Option<Plan>> {
         if varies && !anisotropic {
             plan.why += "; driven: each walk has the medium of its entry";
         }
-        plan.bends = bends(scene, settings, coating, &plan);
+        plan.bends = bends(scene, settings, coating, owner, &plan);
         if plan.bends {
             plan.why += "; collisions look for light through its smooth boundary";
         }
@@ -88,17 +88,28 @@ pub fn plans(scene: &Scene, settings: &RenderSettings) -> Vec<Option<Plan>> {
 
 /// Whether collisions look for light through the boundary of a medium that scatters and bends it into single directions. By
 /// itself only where lights are small, and not in walks of the mixture: those are for bodies so thick that light seldom gets
-/// to a collision straight, and each of theirs would cost a sum over techniques.
-fn bends(scene: &Scene, settings: &RenderSettings, coating: &Coating, plan: &Plan) -> bool {
+/// to a collision straight, and each of theirs would cost a sum over techniques. `owner` wears the `coating`.
+fn bends(scene: &Scene, settings: &RenderSettings, coating: &Coating, owner: &Instance, plan: &Plan) -> bool {
     let scatters = coating.interior.is_some_and(|interior| interior.medium.scatters());
     // Looks know one medium, one index and the mesh's own normals: where a network drives them, chance has the light.
     let constant = coating.driven.is_none();
     let smooth = scatters && constant && coating.surface.smooth_interface().is_some();
-    match settings.refracted_light.as_str() {
+    let wanted = match settings.refracted_light.as_str() {
         "off" => false,
-        "on" => smooth,
-        _ => smooth && !plan.exact && scene.lights.has_small(),
-    }
+        "on" => scene.lights.has_sought(),
+        _ => !plan.exact && scene.lights.has_small(),
+    };
+    smooth && wanted && has_plain_normals(scene, owner) && is_alone_somewhere(scene, owner)
+}
+
+/// Whether no part of a mesh bends its normals: light that came in elsewhere may leave there.
+fn has_plain_normals(scene: &Scene, of: &Instance) -> bool {
+    of.coatings(&scene.surfaces).iter().all(|coating| !coating.driven.as_deref().is_some_and(Driven::bends))
+}
+
+/// Whether walks in an instance of the mesh of `of` go from boundary to boundary: others do not look.
+fn is_alone_somewhere(scene: &Scene, of: &Instance) -> bool {
+    (0..).zip(&scene.instances).any(|(index, other)| other.surfaces == of.surfaces && scene.is_alone(index))
 }
 
 fn plan(settings: &RenderSettings, interior: &Interior, thickness: f32, lit: bool) -> Plan {

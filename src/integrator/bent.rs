@@ -44,7 +44,8 @@ fn looks(worth: f32) -> f32 {
 /// as the next (docs/performance.md, "Smooth dielectrics").
 const TRIED: f32 = 0.25;
 
-/// Of those tried, the share that goes on to search: this times what the medium passes on the straight way.
+/// Of those tried, the share that goes on to search: this times what the medium passes to the plane where the straight way
+/// leaves. On a flat face no bent way is shorter, so that none is worth much more than its chance, however grazing the sun.
 const SEARCHED: f32 = 0.4;
 
 /// Searches for one direction, from as many starts.
@@ -102,12 +103,14 @@ impl Refracted {
 }
 
 impl<'a> Bent<'a> {
-    /// `None` unless `surface` makes a smooth dielectric boundary of `instance`.
+    /// `None` unless `surface` makes a smooth dielectric boundary of `instance`, and there is light to look for.
     pub fn new(scene: Moment<'a>, instance: u32, surface: u32, beams: Option<&'a Beams>) -> Option<Self> {
+        let single = scene.lights.has_single();
+        (single || beams.is_some()).then_some(())?;
         let error = InstanceEnclosure::new(scene, instance).position_error();
         let window = Window::new(scene, instance, surface, error)?;
         let medium = scene.surfaces[surface as usize].interior?.medium;
-        Some(Self { window, medium, single: scene.lights.has_single(), beams })
+        Some(Self { window, medium, single, beams })
     }
 
     /// The start of a path's way from a collision that drew `d` with solid-angle pdf `pdf`, and looked for light by `aim`.
@@ -243,7 +246,8 @@ impl<'a> Bent<'a> {
             return 0;
         };
         let Some(straight) = self.window.start(collision.p, wi) else { return 0 };
-        let searched = (SEARCHED * mean(self.medium.transmittance(straight.t))).min(1.0);
+        let depth = straight.t * straight.d.dot(straight.frame.n).abs();
+        let searched = (SEARCHED * mean(self.medium.transmittance(depth))).min(1.0);
         if sampler.random() >= searched {
             return 0;
         }

@@ -63,7 +63,7 @@ pub(super) struct Crossing {
     normal: Vec3,
     slopes: [Vec3; 2],
     /// Unit shading normal.
-    frame: Frame,
+    pub frame: Frame,
 }
 
 impl Crossing {

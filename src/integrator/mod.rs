@@ -17,7 +17,7 @@ mod wade;
 mod watch;
 
 pub use log::WalkLog;
-pub use probe::{beams_at, probe};
+pub use probe::{LIGHTS as PROBED_LIGHTS, beams_at, probe};
 
 use crate::bsdf::Response;
 use crate::camera::CameraRay;

@@ -21,7 +21,7 @@ use glam::{Vec2, Vec3};
 const BOUNCES: u32 = 2;
 
 /// Most lights that a probe asks one by one; of more it draws as many.
-const LIGHTS: usize = 8;
+pub const LIGHTS: usize = 8;
 
 /// A boundary point that looks for light.
 struct Probe<'a> {
@@ -48,8 +48,14 @@ impl<'a> Probe<'a> {
         self.eta.map_or(1.0, |eta| 1.0 - fresnel::dielectric(wi.dot(self.si.ng).min(1.0), eta))
     }
 
-    /// Lights, the directions to them, and the irradiance of each that enters, with and without shadows.
-    fn lights(&self, sampler: &mut Sampler, stats: &mut PathStats, mut seen: impl FnMut(u32, Vec3, Rgb, Rgb)) {
+    /// Lights that are `wanted`, the directions to them, and the irradiance of each that enters, with and without shadows.
+    fn lights(
+        &self,
+        wanted: impl Fn(u32) -> bool,
+        sampler: &mut Sampler,
+        stats: &mut PathStats,
+        mut seen: impl FnMut(u32, Vec3, Rgb, Rgb),
+    ) {
         let (scene, si) = (self.scene, &self.si);
         let n = si.ng;
         let lights = scene.lights.len();
@@ -63,7 +69,8 @@ impl<'a> Probe<'a> {
                 let u_choice = (i as f32 + sampler.random()) / LIGHTS as f32;
                 draws.sample(u_choice, u)
             };
-            let Some(light) = sample.filter(|light| light.wi.dot(n) > 0.0 && light.pdf > 0.0) else { continue };
+            let sample = sample.filter(|light| light.wi.dot(n) > 0.0 && light.pdf > 0.0);
+            let Some(light) = sample.filter(|light| wanted(light.light)) else { continue };
             let share = if lights <= LIGHTS { 1.0 } else { 1.0 / LIGHTS as f32 };
             let unshadowed = light.radiance * (light.wi.dot(n) * self.entering(light.wi) * share / light.pdf);
             if !(unshadowed.is_finite() && mean(unshadowed) > 0.0 && scene.illuminates(light.light, si.instance)) {
@@ -95,14 +102,16 @@ pub fn beams_at(
     let Some(probe) = Probe::new(scene, enclosure, hit, outward) else { return beams };
     let (Some(eta), n) = (probe.eta, probe.si.frame.n) else { return beams };
     let mut entering = Vec::new();
-    probe.lights(sampler, stats, |light, wi, visible, _| {
-        if scene.lights.is_single(light) || scene.lights.is_mesh(light) {
-            return; // looks do not meet them
-        }
-        let power = area * mean(visible);
-        let d = (power > 0.0 && wi.dot(n) > 0.0).then(|| fresnel::refract(wi, n, eta)).flatten();
-        entering.extend(d.map(|d| (d, power)));
-    });
+    probe.lights(
+        |light| scene.lights.is_met(light),
+        sampler,
+        stats,
+        |_, wi, visible, _| {
+            let power = area * mean(visible);
+            let d = (power > 0.0 && wi.dot(n) > 0.0).then(|| fresnel::refract(wi, n, eta)).flatten();
+            entering.extend(d.map(|d| (d, power)));
+        },
+    );
     for (d, power) in entering {
         follow(scene, enclosure, medium, eta, *hit, d, power, sampler, &mut beams);
     }
@@ -163,11 +172,16 @@ pub fn probe(
     let Some(probe) = Probe::new(scene, enclosure, hit, outward) else { return record };
     let (si, n) = (&probe.si, probe.si.ng);
     record.n = n;
-    probe.lights(sampler, stats, |light, wi, visible, unshadowed| {
-        record.irradiance += visible;
-        record.directions.push((wi, mean(visible)));
-        record.lights.push(LightRecord { light, visible: mean(visible), unshadowed: mean(unshadowed) });
-    });
+    probe.lights(
+        |_| true,
+        sampler,
+        stats,
+        |light, wi, visible, unshadowed| {
+            record.irradiance += visible;
+            record.directions.push((wi, mean(visible)));
+            record.lights.push(LightRecord { light, visible: mean(visible), unshadowed: mean(unshadowed) });
+        },
+    );
 
     // By way of other surfaces.
     let wi = si.frame.to_world(cosine_hemisphere(Vec2::new(sampler.random(), sampler.random())));

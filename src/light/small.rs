@@ -36,10 +36,26 @@ impl Lights {
         !self.single.is_empty()
     }
 
-    /// Whether some light is small as seen from anywhere: it has a shape, an angle, or no size at all.
+    /// Whether looks for refracted light can meet a light: it has a size, and is no mesh, which is among the surfaces.
+    pub fn is_met(&self, light: u32) -> bool {
+        !self.is_single(light) && !self.is_mesh(light)
+    }
+
+    /// How many lights looks can meet.
+    pub fn count_met(&self) -> usize {
+        (0..self.lights.len() as u32).filter(|&light| self.is_met(light)).count()
+    }
+
+    /// Whether refracted light of some light is looked or searched for: of all but meshes.
+    pub fn has_sought(&self) -> bool {
+        (0..self.lights.len() as u32).any(|light| !self.is_mesh(light))
+    }
+
+    /// Whether one of those is small as seen from anywhere: it has a shape, an angle, or no size at all.
     pub fn has_small(&self) -> bool {
-        self.lights.iter().any(|light| match light {
-            Light::Area(_) | Light::Distant(_) => true,
+        (0..).zip(&self.lights).any(|(index, light)| match light {
+            Light::Area(_) => !self.is_mesh(index),
+            Light::Distant(_) => true,
             Light::Dome(dome) => dome.has_suns(),
         })
     }

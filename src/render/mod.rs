@@ -2,6 +2,7 @@
 
 mod adaptive;
 mod areas;
+mod beams;
 mod bodies;
 mod checkpoint;
 mod pass;
@@ -203,7 +204,11 @@ impl<'a> Run<'a> {
     }
 
     fn train(&mut self, film: &Film) {
-        let trained = training::train(self.scene, self.settings, &mut self.guide);
+        let (progress, start, limit) = (self.progress, self.start, self.limit);
+        // A checkpoint holds what was learned in all of the fields.
+        let keeps = self.keeper.is_some();
+        let is_over = || !keeps && is_over(progress, start, limit);
+        let trained = training::train(self.scene, self.settings, &mut self.guide, is_over);
         self.progress.add(&trained.stats);
         if film.watches_walks() {
             self.guide.number_regions();
@@ -217,7 +222,7 @@ impl<'a> Run<'a> {
 
     /// Whether a stop or the time limit ends the render.
     fn is_over(&self) -> bool {
-        self.progress.stopped() || self.limit.is_some_and(|limit| self.start.elapsed() >= limit)
+        is_over(self.progress, self.start, self.limit)
     }
 
     fn expect(&mut self, samples: u64) {
@@ -240,6 +245,10 @@ impl<'a> Run<'a> {
         self.learned.count(&self.guide);
         self.progress.set_guide(self.learned.clone());
     }
+}
+
+fn is_over(progress: &Progress, start: Instant, limit: Option<Duration>) -> bool {
+    progress.stopped() || limit.is_some_and(|limit| start.elapsed() >= limit)
 }
 
 impl GuideStats {

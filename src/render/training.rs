@@ -1,12 +1,13 @@
-//! Filling the boundary caches before the first pass, and the volumes behind smooth dielectrics with beams of light.
+//! Filling the boundary caches before the first pass.
 //!
 //! Points are spread uniformly over the boundary, which reaches the back of an ear that no walk has found yet, or
 //! found as the paper does, where camera paths enter and where classical walks come out.
 
 use super::areas::Areas;
-use super::bodies::{Body, needs_records, share_records};
+use super::beams::add_beams;
+use super::bodies::{Aim, Body, share_records};
 use crate::flat::RenderSettings;
-use crate::guiding::beams::{Beam, Beams};
+use crate::guiding::beams::Beam;
 use crate::guiding::cache::Record;
 use crate::guiding::field::{Field, FieldSettings};
 use crate::guiding::plan::{Plan, Walk};
@@ -35,9 +36,6 @@ const ENOUGH_SAMPLES: u32 = 64;
 
 const RECORDS: std::ops::RangeInclusive<u64> = 8_000..=400_000;
 
-/// Points at which beams of light are looked for, over records: they follow no path.
-const BEAMS_PER_RECORD: u32 = 2;
-
 /// Pixels across a cell: some hundred walks start there within the first passes (mixture_3d.md section 5).
 const PIXELS: f32 = 6.0;
 
@@ -54,7 +52,7 @@ const LEAST_LIT: u32 = 2;
 const CELL_RANGE: [f32; 2] = [1.0 / 128.0, 1.0 / 4.0];
 
 /// Bodies of one cache that are looked at: shadows of more say little new.
-const MOST_PROBED: usize = 64;
+pub(super) const MOST_PROBED: usize = 64;
 
 /// What training took.
 #[derive(Default)]
@@ -65,30 +63,23 @@ pub struct Trained {
     pub bodies: [usize; 2],
 }
 
-/// Fills the fields of `guide` that its plans need.
-pub fn train(scene: &Scene, settings: &RenderSettings, guide: &mut Guide) -> Trained {
+/// Fills the beams and fields of `guide` that its plans need. What `is_over` leaves out is as if nothing were known there.
+pub fn train(scene: &Scene, settings: &RenderSettings, guide: &mut Guide, is_over: impl Fn() -> bool) -> Trained {
+    let count = record_count(scene, settings);
+    let looked = add_beams(scene, settings, guide, count, &is_over);
     // A body that fills the frame has most of the records, a tooth its share.
-    let (shares, small) = share_records(scene, guide, record_count(scene, settings));
-    let mut trained = Trained { bodies: [shares.len(), small], ..Trained::default() };
+    let (shares, small) = share_records(scene, guide, Aim::Records, count);
+    let mut trained = Trained { stats: looked, bodies: [shares.len(), small], ..Trained::default() };
     let learned = guide.exit_lights == ExitLights::Learned && !shares.is_empty();
     let parts = if learned { scene.lights.parts() } else { Parts::default() };
-    for body in shares {
+    for body in shares.into_iter().take_while(|_| !is_over()) {
         let instance = body.members[0];
-        let Some(boundary) = BoundaryOf::new(scene.middle(), guide, instance) else { continue };
-        if boundary.plan.bends {
-            let (beams, seen) = beams(scene, settings, guide, &body);
-            trained.stats.add(&seen);
-            guide.beams.resize_with(scene.instances.len(), || None);
-            guide.beams[instance as usize] = Beams::build(&beams, &boundary.medium).map(Box::new);
-        }
+        let Some(boundary) = BoundaryOf::new(scene.middle(), guide, instance, Aim::Records) else { continue };
         if body.members.len() > 1 {
             if guide.homes.is_empty() {
                 guide.homes = (0..scene.instances.len() as u32).collect();
             }
             body.members.iter().for_each(|&member| guide.homes[member as usize] = instance);
-        }
-        if !guide.must_know(&boundary.plan) {
-            continue;
         }
         let (found, seen) = records(scene, settings, guide, &body);
         trained.stats.add(&seen);
@@ -100,27 +91,14 @@ pub fn train(scene: &Scene, settings: &RenderSettings, guide: &mut Guide) -> Tra
     trained
 }
 
-/// Light that enters a body, seen from as many of those that share it as are worth a look.
-fn beams(scene: &Scene, settings: &RenderSettings, guide: &Guide, body: &Body) -> (Vec<Beam>, PathStats) {
-    let step = body.members.len().div_ceil(MOST_PROBED);
-    let probed: Vec<u32> = body.members.iter().copied().step_by(step).collect();
-    let count = (BEAMS_PER_RECORD * body.records).div_ceil(probed.len() as u32);
-    let (mut all, mut stats) = (Vec::new(), PathStats::default());
-    for boundary in probed.into_iter().filter_map(|instance| BoundaryOf::new(scene.middle(), guide, instance)) {
-        let (mut found, seen) = boundary.beams_by_area(settings.seed, count);
-        all.append(&mut found);
-        stats.add(&seen);
-    }
-    (all, stats)
-}
-
 /// The records of a body, from as many of those that share its cache as are worth a look.
 fn records(scene: &Scene, settings: &RenderSettings, guide: &Guide, body: &Body) -> (Vec<Record>, PathStats) {
     let step = body.members.len().div_ceil(MOST_PROBED);
     let probed: Vec<u32> = body.members.iter().copied().step_by(step).collect();
     let share = probed.len() as u32;
     let (mut all, mut stats) = (Vec::new(), PathStats::default());
-    for boundary in probed.into_iter().filter_map(|instance| BoundaryOf::new(scene.middle(), guide, instance)) {
+    let boundary_of = |instance| BoundaryOf::new(scene.middle(), guide, instance, Aim::Records);
+    for boundary in probed.into_iter().filter_map(boundary_of) {
         let count = body.records.div_ceil(share);
         let (mut found, seen) = match settings.cache_fill.as_str() {
             "camera" => boundary.records_by_walks(guide, settings, count),
@@ -142,12 +120,12 @@ fn record_count(scene: &Scene, settings: &RenderSettings) -> u32 {
 }
 
 /// The part of an instance's surface that a medium lies behind.
-struct BoundaryOf<'a> {
+pub(super) struct BoundaryOf<'a> {
     scene: Moment<'a>,
     instance: u32,
     enclosure: InstanceEnclosure<'a>,
     areas: Areas,
-    medium: Medium,
+    pub medium: Medium,
     plan: Plan,
     /// -1 where the mesh is inside out.
     outward: f32,
@@ -155,9 +133,9 @@ struct BoundaryOf<'a> {
 
 impl<'a> BoundaryOf<'a> {
     /// `None`: no plan needs to know this boundary.
-    fn new(scene: Moment<'a>, guide: &Guide, instance: u32) -> Option<Self> {
+    pub(super) fn new(scene: Moment<'a>, guide: &Guide, instance: u32, aim: Aim) -> Option<Self> {
         let (of, linear) = (&scene.instances[instance as usize], scene.placed(instance).linear);
-        let wanted = |triangle: u32| needs_records(guide, of, triangle);
+        let wanted = |triangle: u32| aim.has(guide, of, triangle);
         let all = 0..of.geometry.triangles.len() as u32;
         let first = all.clone().find(|&triangle| wanted(triangle))?;
         let (plan, medium) = guide.plan(of.surfaces + of.geometry.slot(first) as u32)?;
@@ -191,7 +169,7 @@ impl<'a> BoundaryOf<'a> {
     }
 
     /// Light that enters at points uniform over the surface.
-    fn beams_by_area(&self, seed: u32, count: u32) -> (Vec<Beam>, PathStats) {
+    pub(super) fn beams_by_area(&self, seed: u32, count: u32) -> (Vec<Beam>, PathStats) {
         let area = (self.areas.sum() / f64::from(count)) as f32;
         let beams = |i: u32| {
             let mut sampler = Sampler::new(seed ^ SEED, self.instance, i);

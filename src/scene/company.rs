@@ -157,11 +157,16 @@ pub fn outward(instance: &Instance) -> f32 {
 }
 
 impl Instance {
-    /// What the surfaces that its triangles wear enclose.
-    pub(super) fn interiors<'a>(&self, surfaces: &'a [Coating]) -> impl Iterator<Item = &'a super::Interior> + use<'a> {
+    /// Of `surfaces`, all of a scene, those that its triangles wear.
+    pub fn coatings<'a>(&self, surfaces: &'a [Coating]) -> &'a [Coating] {
         let slots = self.geometry.slots.as_ref().and_then(|slots| slots.iter().max()).map_or(0, |&slot| slot as usize);
         let first = self.surfaces as usize;
-        surfaces[first..=first + slots].iter().filter_map(|coating| coating.interior.as_ref())
+        &surfaces[first..=first + slots]
+    }
+
+    /// What these enclose.
+    pub(super) fn interiors<'a>(&self, surfaces: &'a [Coating]) -> impl Iterator<Item = &'a super::Interior> + use<'a> {
+        self.coatings(surfaces).iter().filter_map(|coating| coating.interior.as_ref())
     }
 }
 
