@@ -129,7 +129,10 @@ def test_crops_and_cuts_of_the_frame_are_the_same_pixels(stage, tmp_path):
         out = tmp_path / f"out{len(rows)}"
         assert run(stage, "--methods", "classical", "--out", out, *whole, *crop) == 0
         rows.append(results(out)["rows"][0])
-    assert rows[0]["relmse"] == rows[1]["relmse"] and rows[0]["bias"] == rows[1]["bias"]
+    # Sums over a view round in another order.
+    for name in ("relmse", "relmse_trimmed"):
+        assert rows[0][name]["mean"] == pytest.approx(rows[1][name]["mean"], rel=1e-12)
+    assert rows[0]["bias"] == pytest.approx(rows[1]["bias"], rel=1e-12)
 
 
 def test_reference_is_reused_until_the_scene_changes(stage, tmp_path, capsys):
@@ -217,8 +220,8 @@ def test_given_references(stage, tmp_path, capsys):
     assert "is not known" not in capsys.readouterr().out
     assert bench("a") == 0
     assert "variance AOV, an upper bound" in capsys.readouterr().out
-    # One half has twice the variance of both.
-    assert results(tmp_path / "out")["reference_noise"][0]["noise"] == pytest.approx(2.0 * halves, rel=0.5)
+    # One half has twice the variance of both, and the AOV takes Sobol samples for independent ones.
+    assert 1.0 < results(tmp_path / "out")["reference_noise"][0]["noise"] / halves < 5.0
     assert bench("bare") == 0
     assert "noise is not known" in capsys.readouterr().out
     assert bench("corner", crop="r=0.1,0.1,0.4,0.4") == 0
