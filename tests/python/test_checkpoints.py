@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import struct
 import time
@@ -86,9 +87,9 @@ def is_past(keep: Path, pilot: bool, samples: int) -> bool:
 
 
 def test_interrupted_and_resumed(wax, tmp_path):
-    flags = ("-w", "32", "--samples", "192", "--threads", "1")
+    flags = ("-w", "32", "--samples", "384", "--threads", "1")
     child = start("record", wax, tmp_path / "a.exr", *flags, "--checkpoint", "1000", "--progress", "json")
-    assert any('"progress": 0.' in line for line in child.stdout)
+    assert any(re.search(r'"progress": 0\.0*[1-9]', line) for line in child.stdout)
     child.send_signal(signal.SIGINT)
     child.communicate(timeout=60)
     assert child.returncode == 130
@@ -98,7 +99,7 @@ def test_interrupted_and_resumed(wax, tmp_path):
     stats = ("--stats", tmp_path / "s.json")
     assert run("record", wax, tmp_path / "a.exr", *flags, "--resume", "--skipExisting", *stats) == 0
     found = json.loads((tmp_path / "s.json").read_text())
-    assert 0.0 < found["resumed_samples_per_pixel"] < 192.0 and found["samples_per_pixel"] == 192.0
+    assert 0.0 < found["resumed_samples_per_pixel"] < 384.0 and found["samples_per_pixel"] == 384.0
     assert run("record", wax, tmp_path / "whole.exr", *flags) == 0
     same_image(tmp_path / "a.exr", tmp_path / "whole.exr")
 
@@ -214,10 +215,13 @@ def test_only_complete_files_are_skipped(tmp_path, stage, kind, damage):
 
 def test_snapshots(wax, tmp_path):
     flags = ("-w", "32", "--samples", "1000000", "--progress", "json")
-    child = start("record", wax, tmp_path / "a.exr", *flags, "--snapshot", "0.2", "--timeLimit", "4")
+    child = start("record", wax, tmp_path / "a.exr", *flags, "--snapshot", "0.2", "--timeLimit", "6")
     seen = tmp_path / "a_snapshot.exr"
     wait_for(seen, child)
     spec, pixels = read_exr(seen)
+    # The first ones may be of what is learned before the first pass.
+    while pixels[16, 16, :3].max() == 0.0 and child.poll() is None:
+        spec, pixels = read_exr(seen)
     assert spec.getattribute("dermis.complete") == "false" and pixels[16, 16, :3].max() > 0.0
     assert not (tmp_path / "a.exr").exists()
     child.communicate(timeout=60)
