@@ -229,8 +229,11 @@ def test_what_is_not_sampled_is_said() -> None:
     )
     radius = "float inputs:radius.timeSamples = {0: 1, 2: 2}"
     text += f'def SphereLight "L"\n{{\n    {radius}\n    float inputs:intensity = 1\n}}\n'
-    said = dict(flat(text + square()).warnings)
-    assert said.keys() == {"/main_cam", "/L"}
+    text += 'def Sphere "S"\n{\n    double radius.timeSamples = {0: 1, 2: 2}\n}\n'
+    color = "color3f[] primvars:displayColor.timeSamples = {0: [(1, 0, 0)], 2: [(0, 1, 0)]}"
+    said = dict(flat(text + square(color)).warnings)
+    assert said.keys() == {"/main_cam", "/L", "/S", "/Square"}
+    assert said["/S"].startswith("radius: not") and said["/Square"].startswith("primvars:displayColor: not")
     assert said["/main_cam"].startswith("fStop: not sampled") and said["/L"].startswith(
         "inputs:radius: not sampled"
     )

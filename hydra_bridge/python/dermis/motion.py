@@ -26,20 +26,19 @@ from .walk import Found, Frame, Walk
 
 Prim = dict[str, Any]
 
-UNSAMPLED = {
-    "Camera": (
-        "focalLength",
-        "horizontalAperture",
-        "verticalAperture",
-        "fStop",
-        "focusDistance",
-        "clippingRange",
-    ),
-    "Mesh": ("faceVertexCounts", "faceVertexIndices", "visibility"),
-    "BasisCurves": ("curveVertexCounts", "widths", "visibility"),
-    "Points": ("widths", "visibility"),
-}
-"""What else may have samples and stays as it is at the frame, by prim; of lights all inputs."""
+OF_CAMERAS = (
+    "focalLength",
+    "horizontalAperture",
+    "verticalAperture",
+    "fStop",
+    "focusDistance",
+    "clippingRange",
+)
+"""What of a camera may have samples and is that of the frame; of lights all inputs, of what has a shape all but:"""
+
+SAMPLED = ("points", "velocities", "accelerations", "extent")
+OF_MESHES = ("normals", "primvars:normals")
+TOPOLOGY = ("faceVertexCounts", "faceVertexIndices")
 
 MOST_TIMES = 33
 """Of one prim: as many as one segment turned into thirty-two, the finest that `refined` makes."""
@@ -117,15 +116,26 @@ def add_motion(prims: dict[str, Prim], scene: Scene, shutter: Shutter) -> None:
 
 def warn_unsampled(prim: Usd.Prim, kind: str, reader: Reader, shutter: Shutter) -> None:
     """Names what changes while the shutter is open and is taken from the frame."""
-    names = UNSAMPLED.get(kind, ())
-    if kind.endswith("Light") or kind.startswith("DomeLight"):
-        names = [name for name in prim.GetAuthoredPropertyNames() if name.startswith("inputs:")]
+    names = unsampled(prim, kind)
     attributes = [attribute for name in names if (attribute := prim.GetAttribute(name))]
     ends = [Usd.TimeCode(float(time)) for time in shutter.times(np.array([0.0, 1.0]), 1.0)]
     varying = [a for a in attributes if a.ValueMightBeTimeVarying() and a.Get(ends[0]) != a.Get(ends[1])]
-    if varying and not (kind == "Mesh" and "velocities" in prim.GetAuthoredPropertyNames()):
+    if varying:
         changed = ", ".join(a.GetName() for a in varying)
         reader.warn(prim, f"{changed}: not sampled while the shutter is open; the value of the frame is used")
+
+
+def unsampled(prim: Usd.Prim, kind: str) -> list[str]:
+    """Attributes that are taken from the frame."""
+    if kind == "Camera":
+        return [*OF_CAMERAS]
+    names = prim.GetAuthoredPropertyNames()
+    if kind.endswith("Light") or kind.startswith("DomeLight"):
+        return [name for name in names if name.startswith("inputs:")]
+    sampled = SAMPLED + (OF_MESHES if kind == "Mesh" else ())
+    if "velocities" in names:  # then the points are those of the frame, however many there are at other times
+        sampled += TOPOLOGY
+    return [name for name in names if name not in sampled and not name.startswith("xformOp")]
 
 
 def owners(scene: Scene, placements: dict[Frame, Placements]) -> dict[str, tuple[float, Usd.Prim]]:
