@@ -189,6 +189,11 @@ impl Lights {
         !self.responses.is_empty()
     }
 
+    /// Lights that are another to diffuse lobes, or to the others, than they are to look at.
+    pub fn with_responses(&self) -> usize {
+        self.responses.iter().filter(|&&response| response != [1.0; 2]).count()
+    }
+
     /// Factors of what `source`, a light or [`GLOW`], is to diffuse lobes and media, and to the others.
     pub fn response(&self, source: u32) -> [f32; 2] {
         self.responses.get(source as usize).copied().unwrap_or([1.0; 2])

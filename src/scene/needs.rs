@@ -31,6 +31,8 @@ pub struct Needs {
     /// Lights that do not light everything, and those with other shadows than the black ones of everything.
     pub linked_lights: u32,
     pub shadow_rules: u32,
+    /// Lights with `inputs:diffuse` or `inputs:specular` other than 1.
+    pub scaled_lights: u32,
     pub textures: u32,
     /// Of the images of materials, all levels.
     pub texture_bytes: u64,
@@ -131,6 +133,7 @@ impl Needs {
         self.linked_lights = lights.linked() as u32;
         self.guided_domes = lights.with_portals() as u32;
         self.shadow_rules = lights.ruled().count() as u32;
+        self.scaled_lights = lights.with_responses() as u32;
         self.lights = lights.len() as u32;
         self.infinite_lights = lights.infinite().len() as u32;
         self.mesh_lights = instances.iter().filter(|i| i.light.is_some()).count() as u32;
@@ -279,6 +282,12 @@ impl Needs {
                 self.shadow_rules > 0,
                 count(self.shadow_rules, "lights with a shadowLink that leaves something out, or ShadowAPI"),
                 "everything casts black shadows",
+            ),
+            line(
+                "lights by lobe",
+                self.scaled_lights > 0,
+                count(self.scaled_lights, "lights with inputs:diffuse or inputs:specular other than 1"),
+                "every light is the same to all lobes",
             ),
             line("textures", self.textures > 0, self.images(), "no image on anything that is rendered"),
             line(

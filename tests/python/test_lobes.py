@@ -310,6 +310,19 @@ def test_groups_show_what_is_taken():
     np.testing.assert_allclose(image["light_Other"], image["specular"], rtol=1e-4)
 
 
+def test_explain_says_which_lights_tell_lobes_apart(tmp_path, capsys):
+    for lines, said in (
+        ((), "every light is the same to all lobes"),
+        (factors(1.0, 0.5), "1 lights with inputs:"),
+    ):
+        stage = stage_of(
+            quads(1, "") + lamp("RectLight", *lines) + lamp("DomeLight").replace("Lamp", "Sky") + EYE
+        )
+        stage.Export(str(tmp_path / "lights.usda"))
+        assert run("explain", tmp_path / "lights.usda") == 0
+        assert f"  lights by lobe: {said}" in capsys.readouterr().out
+
+
 def test_values_that_are_none_are_said():
     image = rendered(quads(1, ""), lamp("RectLight", "float inputs:specular = -2"), samples=1)
     assert any("inputs:specular" in warning["message"] for warning in image.stats["warnings"])

@@ -5,7 +5,7 @@ import time
 import pytest
 
 from dermis.aovs import CELLS, is_sum
-from dermis.lpe import cells_of, sum_of
+from dermis.lpe import cells_of, parts_fog, parts_mirrors, sum_of
 from dermis.products import named_lpe
 
 OF_OTHERS = {
@@ -93,6 +93,19 @@ def test_no_expression_takes_long():
     for text in ("C(.*)*B", "C.*.*.*.*B", "C.*.*.*.*.*.*B", "C((.+)+|D)+B", "C(.|.|.)*B"):
         assert cells_of(text) == ()
     assert time.perf_counter() - start < 10.0
+
+
+@pytest.mark.parametrize("text", [text for text, aov in OF_OTHERS.items() if aov])
+def test_what_other_languages_keep_apart(text):
+    """Mirrors: OSL has S for them, so that S alone, or G alone, is another thing there. Fog: V, which no letter but V
+    and the dot takes; CVL is light that it scatters once."""
+    mirrors = ("S" in text or "G" in text) and not any(
+        word in text for word in ("[GS]", "C<RD>.", "C<TD>.", "C[LO]")
+    )
+    assert parts_mirrors(text) == mirrors
+    late = {"C<RD>[DS]+[<L.>O]", "C<RS>[DS]+[<L.>O]", "C[DSV]L", "C[DSV][DSVOB].*", "C [^D] L"}
+    whole = {"C.{0,1}[LO]", "C.{2,}[LO]", "C(<RD>|<TD>).*[LO]"}
+    assert parts_fog(text) == (text in late | whole or text.startswith(("C<TD>", "C<T'", 'C<T"')))
 
 
 def test_sums_have_the_fewest_names():

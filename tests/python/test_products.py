@@ -33,6 +33,8 @@ VARS = (
     + var("N", "N", data="normal3h")
     + var("sss", "C<TD>.*[LO]", "lpe")
     + var("who", "cryptoObject")
+    + var("late", "C<RD>[DS]+[LO]", "lpe")
+    + var("any", "C<RD>.+[LO]", "lpe")
 )
 
 
@@ -202,6 +204,70 @@ def test_the_source_of_a_var_counts_before_its_name(make_stage, name, source, ki
     assert source_aov(found.GetPrimAtPath(f"/{name}"), Reader(1.0, report)) == aov
     assert len(report.warnings) == len(said)
     assert all(words in message for words, (_, message) in zip(said, report.warnings, strict=True))
+
+
+def layered(make_stage, **expressions):
+    """What is said of RenderVars with these expressions in one product."""
+    stage = make_stage(
+        'def RenderSettings "S"\n{\nrel products = [</P>]\n}\n'
+        + "".join(var(name, text, "lpe") for name, text in expressions.items())
+        + product("P", "a.exr", " ".join(expressions)).replace("/Render/", "/")
+    )
+    report = Report()
+    flatten_products(stage.GetPrimAtPath("/S"), Reader(0.0, report))
+    return report.warnings
+
+
+def test_glossy_and_mirrors_are_said_to_be_one(make_stage):
+    [(prim, both)] = layered(make_stage, gloss="C<RG>.*[LO]", mirror="C<RS>.*[LO]", both="C<R[GS]>.*[LO]")
+    assert prim == "/S" and "not kept apart; each of these has the two" in both
+    assert both.endswith("'C<RG>.*[LO]' of </gloss>, 'C<RS>.*[LO]' of </mirror>")
+    [(_, glass)] = layered(make_stage, rough="C<TG>L", clear="C<TS>L", diffuse="C<RD>.*L")
+    assert "'C<TG>L' of </rough>, 'C<TS>L' of </clear>" in glass and "diffuse" not in glass
+    [(_, later)] = layered(make_stage, gloss="C<RD>[DG]+L", mirror="C<RD>[DS]+L")
+    assert "each of these has the two" in later
+    [(_, karma)] = layered(make_stage, gloss="C<RG>L")
+    assert karma.endswith("G is the two, as Karma has it, in 'C<RG>L' of </gloss>")
+    # RenderMan and Arnold: all that is specular.
+    assert layered(make_stage, specular="C<RS>[DS]+[<L.>O]", glass="C<TS>.*", whole="C<.[GS]>.*L") == []
+
+
+FOG = """
+    def Material "Fog"
+    {
+        token outputs:surface.connect = </World/Fog/Surface.outputs:surface>
+        def Shader "Surface"
+        {
+            uniform token info:id = "UsdPreviewSurface"
+            float inputs:subsurface = 1
+            token inputs:subsurfaceBoundary = "BOUNDARY"
+            color3f inputs:subsurfaceRadius = (9, 9, 9)
+            color3f inputs:subsurfaceColor = (0.9, 0.9, 0.9)
+            token outputs:surface
+        }
+    }
+    def Cube "Body" (prepend apiSchemas = ["MaterialBindingAPI"])
+    {
+        rel material:binding = </World/Fog>
+    }
+"""
+
+
+@pytest.mark.parametrize("boundary", ["indexMatched", "diffuse"])
+def test_layers_say_what_they_hold_of_fog(boundary, stage, tmp_path, capsys):
+    file = stage(
+        product("A", f"{tmp_path}/a.exr", "beauty sss late any"),
+        prims=FOG.replace("BOUNDARY", boundary),
+    )
+    assert run("record", file) == 0
+    said = [line for line in capsys.readouterr().err.splitlines() if "fog" in line]
+    if boundary == "diffuse":
+        assert said == []
+        return
+    [sss, late] = said
+    assert "/Render/sss: sourceName: 'C<TD>.*[LO]'" in sss and "to the camera is in the layer" in sss
+    assert "seen not in it" in sss
+    assert "/Render/late" in late and "camera is not in the layer" in late and "seen in it" in late
 
 
 def test_deep_products_are_dropped_with_a_warning(make_stage):

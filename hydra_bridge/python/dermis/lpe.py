@@ -19,6 +19,9 @@ EVENTS = {
     "g": ("R", "G", ""),
     "c": ("R", "G", "coat"),
     "t": ("T", "G", ""),
+    "r": ("R", "S", ""),
+    "k": ("R", "S", "coat"),
+    "u": ("T", "S", ""),
     "b": ("T", "D", "subsurface"),
     "v": ("V", "", ""),
     "L": ("L", "", ""),
@@ -28,8 +31,8 @@ EVENTS = {
     "B": ("B", "", ""),
 }
 """Events by a letter of their own: type, scattering, label. Coats are not kept apart: an expression that leaves them
-out is none of dermis'. S and G are one, as RenderMan and Arnold have S alone, Karma G alone. A group of lights may have
-the label of a lobe."""
+out is none of dermis'. S and G are one, as RenderMan and Arnold have S alone, Karma G alone; to OSL, which has both, S
+is mirrors. A group of lights may have the label of a lobe."""
 
 LABELS = ("coat", "subsurface")
 """Of lobes."""
@@ -37,10 +40,16 @@ LABELS = ("coat", "subsurface")
 NOT_APART = (("V", "", ""), ("B", "", ""), ("", "s", ""))
 """Fog, the background, straight ways: in layers of dermis together with others, so that none is without them."""
 
-FIRST = {"Diffuse": "d", "Specular": "gc", "Transmission": "t"}
-"""First events of the parts of a lobe."""
+FIRST = {"Diffuse": "d", "Specular": "gc", "Transmission": "t", "subsurface": "b"}
+"""First events of the parts of a lobe, and of what media scatter."""
 
 LATER = "dgctb"
+MIRRORS = {"g": "gr", "c": "ck", "t": "tu"}
+"""What these events are in OSL's language."""
+VOLUME = "v"
+FOG = {"b": f"b{VOLUME}"}
+"""What a medium scatters has come by V where the medium is fog, which light gets into and out of without an event."""
+
 LONG = 40
 """Events of the longest paths that are asked about: more than any expression counts."""
 
@@ -54,17 +63,37 @@ class NotRead(ValueError):
 @cache
 def cells_of(text: str) -> tuple[str, ...]:
     """Parts of the beauty that `text` means together; none where it means something that dermis does not keep apart."""
-    try:
-        pattern = Reader(re.sub(r"\s+", "", text).replace('"', "'")).pattern()
-        answered = {cell: {len(path) in pattern(path, {0}) for path in paths_of(cell)} for cell in CELLS}
-    except (ValueError, RecursionError):  # NotRead, and counts of thousands of digits
+    found = answers_of(text)
+    if any(len(answers) > 1 for answers in found.values()):
         return ()
-    found = []
-    for cell, answers in answered.items():
-        if len(answers) > 1:
-            return ()
-        found += [cell] if answers == {True} else []
-    return tuple(found)
+    return tuple(cell for cell, answers in found.items() if answers == {True})
+
+
+@cache
+def parts_mirrors(text: str) -> bool:
+    """Whether OSL, to which glossy (G) and mirrors (S) are two things, takes `text` for something else than dermis."""
+    return answers_of(text) != answers_of(text, MIRRORS, apart=True)
+
+
+@cache
+def parts_fog(text: str) -> bool:
+    """Whether `text` means something else where fog is V, a volume, than to dermis, where it is a medium like others."""
+    return answers_of(text) != answers_of(text, FOG)
+
+
+def letters_of(text: str) -> set[str]:
+    """Letters of an expression, those of labels left out."""
+    return set(re.sub(r"'[^']*'", "", text.replace('"', "'")))
+
+
+def answers_of(text: str, finer: dict[str, str] | None = None, apart: bool = False) -> dict[str, set[bool]]:
+    """What `text` answers about paths of each part; nothing where it is no expression. `finer`: events that are of
+    several kinds; `apart`: S and G are two things."""
+    try:
+        pattern = Reader(re.sub(r"\s+", "", text).replace('"', "'"), apart).pattern()
+        return {cell: {len(p) in pattern(p, {0}) for p in paths_of(cell, finer or {})} for cell in CELLS}
+    except (ValueError, RecursionError):  # NotRead, and counts of thousands of digits
+        return {}
 
 
 def sum_of(cells: tuple[str, ...]) -> str:
@@ -77,23 +106,24 @@ def sum_of(cells: tuple[str, ...]) -> str:
     return "+".join(names)
 
 
-def paths_of(cell: str) -> Iterator[str]:
+def paths_of(cell: str, finer: dict[str, str]) -> Iterator[str]:
     """Paths of a part, up to three events after the first, and long ones. They end on lights: what glows is one."""
+    later = "".join(finer.get(event, event) for event in LATER)
     if cell == "emission":
-        firsts, later = [""], [""]
-    elif cell == "subsurface":
-        # Entry and exit at least: RenderMan counts it so, too.
-        firsts, later = ["b"], list(more())
+        firsts, rests = [""], [""]
     else:
         lobe = cell.removeprefix("direct").removeprefix("indirect")
-        firsts, later = list(FIRST[lobe]), [""] if cell.startswith("direct") else list(more())
-    return (first + rest + light for first in firsts for rest in later for light in "Llm")
+        firsts = [kind for event in FIRST[lobe] for kind in finer.get(event, event)]
+        # Of media entry and exit at least: RenderMan counts it so, too.
+        rests = [""] if cell.startswith("direct") else list(more(later))
+    ways = [first + rest for first in firsts for rest in rests] + [VOLUME] * (VOLUME in firsts)
+    return (way + light for way in ways for light in "Llm")
 
 
-def more() -> Iterator[str]:
+def more(later: str) -> Iterator[str]:
     for count in (1, 2, 3):
-        yield from map("".join, product(LATER, repeat=count))
-    yield from (event * LONG for event in LATER)
+        yield from map("".join, product(later, repeat=count))
+    yield from (event * LONG for event in later)
     yield from (pair * (LONG // 2) for pair in ("dg", "gd", "td", "bd"))
 
 
@@ -138,9 +168,10 @@ def repeated(part: Pattern, least: int, most: float) -> Pattern:
 
 @dataclass
 class Reader:
-    """Reads an expression over EVENTS, the camera left out."""
+    """Reads an expression over EVENTS, the camera left out; `apart`: S is mirrors, G what is glossy."""
 
     text: str
+    apart: bool = False
     at: int = 0
 
     def pattern(self) -> Pattern:
@@ -208,7 +239,7 @@ class Reader:
             return lambda event: True
         if place is None:
             raise NotRead(self.text)
-        return has(letter, place)
+        return self.has(letter, place)
 
     def members(self, member: Callable[[], Test]) -> Test:
         """What is left of a set in brackets: one of its members, or with ^ none of them."""
@@ -230,15 +261,14 @@ class Reader:
             label, self.at = self.text[self.at : end], end + 1
             if label not in LABELS:
                 raise NotRead(self.text)
-            return has(label, 2)
+            return self.has(label, 2)
         letter = self.next()
         if letter == ".":
             return lambda event: True
         if place > 1 or letter not in ("RTVLOBA", "DGSs")[place]:
             raise NotRead(self.text)
-        return has(letter, place)
+        return self.has(letter, place)
 
-
-def has(word: str, place: int) -> Test:
-    word = "G" if place == 1 and word == "S" else word
-    return lambda event: event[place] == word
+    def has(self, word: str, place: int) -> Test:
+        words = ("G", "S") if place == 1 and word in "GS" and not self.apart else (word,)
+        return lambda event: event[place] in words

@@ -52,6 +52,15 @@ def flatten_surface(prim: Usd.Prim, reader: Reader, images: dict[str, Fields]) -
     return fields
 
 
+def is_fog(fields: Fields) -> bool:
+    """Whether a material has a medium that light gets into without an event: behind an index-matched boundary, or a
+    dielectric one of index 1."""
+    boundary = fields.get("subsurfaceBoundary", "diffuse")
+    ior = next((fields[name] for name in ("ior", "specular_ior", "specular_IOR") if name in fields), 1.5)
+    within = boundary == "dielectric" or any(fields.get("transmission_scatter", ()))
+    return fields["type"] == "Material" and (boundary == "indexMatched" or (within and ior == 1.0))
+
+
 def hair_of(surface: Usd.Prim, fields: Fields, graph: Graph) -> Usd.Prim:
     """The BSDF of a MaterialX `surface`, whose own inputs are read here."""
     for shader_input in UsdShade.Shader(surface).GetInputs():

@@ -74,7 +74,50 @@ def flatten_products(settings: Usd.Prim, reader: Reader) -> list[Product]:
         if prim.GetRelationship("orderedVars").GetForwardedTargets():
             product.layers = product_layers(prim, reader)
         products.append(product)
+    warn_specular(settings, reader)
     return products
+
+
+def expressions(settings: Usd.Prim, reader: Reader) -> dict[Usd.Prim, str]:
+    """RenderVars of light path expressions that are layers of the render, with their expressions."""
+    found = {}
+    for product in related_products(settings):
+        raster = reader.value(product, "productType", "raster") == "raster"
+        for var in related(product, "orderedVars") if raster else ():
+            text = str(reader.raw(var, "sourceName") or "").removeprefix("lpe:")
+            if text not in RAW_SOURCES and lpe.cells_of(text):
+                found[var] = text
+    return found
+
+
+def warn_specular(settings: Usd.Prim, reader: Reader) -> None:
+    """Says which layers hold what OSL keeps apart. Where S stands alone it is RenderMan's and Arnold's: all of it."""
+    asked = {
+        var: text for var, text in expressions(settings, reader).items() if lpe.letters_of(text) & {"G", "S"}
+    }
+    if not any("G" in lpe.letters_of(text) for text in asked.values()):
+        return
+    parted = {var: text for var, text in asked.items() if lpe.parts_mirrors(text)}
+    used = {letter for text in parted.values() for letter in lpe.letters_of(text) & {"G", "S"}}
+    listed = ", ".join(f"'{text}' of <{var.GetPath()}>" for var, text in parted.items())
+    both = (
+        "light path expressions: glossy (G) and mirror events (S), rough and clear glass, are not kept apart"
+    )
+    if used == {"G", "S"}:
+        reader.warn(settings, f"{both}; each of these has the two: {listed}")
+    elif used == {"G"}:
+        reader.warn(settings, f"{both}; G is the two, as Karma has it, in {listed}")
+
+
+def warn_fog(settings: Usd.Prim, reader: Reader) -> None:
+    """Says what layers hold of fog, in a scene with fog, where their expressions say something else of V."""
+    for var, text in expressions(settings, reader).items():
+        if lpe.parts_fog(text):
+            cells = lpe.cells_of(text)
+            first = "" if "subsurface" in cells else "not "
+            later = "" if any(cell.startswith("indirect") for cell in cells) else "not "
+            message = f"light that fog sends to the camera is {first}in the layer, light that it sends to what is seen {later}in it"
+            reader.warn(var, f"sourceName: '{text}': what fog scatters is <TD> here, no V; {message}")
 
 
 def product_layers(product: Usd.Prim, reader: Reader) -> list[dict[str, Any]]:

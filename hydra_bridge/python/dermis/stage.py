@@ -17,10 +17,10 @@ from .colorspace import Colors
 from .emit import Emitter, Still
 from .images import load_image
 from .index import index_of
-from .material import flatten_material
+from .material import flatten_material, is_fog
 from .motion import Scene, Shutter, add_motion
 from .portal import domes_through
-from .products import Product, flatten_products
+from .products import Product, flatten_products, warn_fog
 from .reading import Reader, Report, usd_words
 from .settings import (
     binding_purposes,
@@ -189,6 +189,7 @@ class Flattening:
         self.flat = FlatStage(purposes=tuple(sorted({"default", *purposes})), version=index.version)
         if root is None:
             self.flat.stage = stage_info(stage, time, reader)
+        self.settings_prim = settings
         self.authored, self.products = self.settings(settings)
         if root is None:
             self.flat.settings, self.flat.products = self.authored, self.products
@@ -222,6 +223,8 @@ class Flattening:
         scene = Scene(self.stage, reader, flat.purposes, self.binding, self.root, placements, self.links)
         scene.cameras = self.add_cameras()
         self.sample_motion(scene)
+        if self.settings_prim and self.root is None and any(map(is_fog, flat.prims.values())):
+            warn_fog(self.settings_prim, reader)
         flat.warnings = reader.report.warnings
 
     def add_cameras(self) -> list[Usd.Prim]:
