@@ -77,7 +77,7 @@ def parts_mirrors(text: str) -> bool:
 
 @cache
 def parts_fog(text: str) -> bool:
-    """Whether `text` means something else where fog is V, a volume, than to dermis, where it is a medium like others."""
+    """Whether `text` means something else where fog is V than to dermis, where it is a medium like others."""
     return answers_of(text) != answers_of(text, FOG)
 
 

@@ -116,8 +116,11 @@ def warn_fog(settings: Usd.Prim, reader: Reader) -> None:
             cells = lpe.cells_of(text)
             first = "" if "subsurface" in cells else "not "
             later = "" if any(cell.startswith("indirect") for cell in cells) else "not "
-            message = f"light that fog sends to the camera is {first}in the layer, light that it sends to what is seen {later}in it"
-            reader.warn(var, f"sourceName: '{text}': what fog scatters is <TD> here, no V; {message}")
+            reader.warn(
+                var,
+                f"sourceName: '{text}': what fog scatters is <TD> here, no V; light that fog sends to the camera is "
+                f"{first}in the layer, light that it sends to what is seen {later}in it",
+            )
 
 
 def product_layers(product: Usd.Prim, reader: Reader) -> list[dict[str, Any]]:
