@@ -190,6 +190,64 @@ def test_instances_that_share_a_skeleton_have_their_own_animations():
     assert len(flat.prims["/World/i1.instances"]["transforms"]) == 2
 
 
+def instanced(stage: Usd.Stage, kind: str, *turns: float) -> None:
+    """Instances /World/i0 ... of class /Asset, turned and moved; the asset's own rotation is theirs."""
+    for i, degrees in enumerate(turns):
+        prim = stage.DefinePrim(f"/World/i{i}", kind)
+        prim.GetReferences().AddInternalReference("/Asset")
+        prim.SetInstanceable(True)
+        xform = UsdGeom.Xformable(prim)
+        xform.SetXformOpOrder([])
+        xform.AddTranslateOp(opSuffix="here").Set((7.0 * i + 3.0, 1.0, -2.0))
+        xform.AddRotateYOp(opSuffix="here").Set(degrees)
+
+
+def worlds(flat, path: str) -> list[np.ndarray]:
+    """World points of a mesh in every place where it is."""
+    mesh = flat.prims[path]
+    shared = flat.prims[mesh["instancer"]]["transforms"] if mesh.get("instancer") else np.eye(4)[None]
+    own = np.array(mesh["transform"])
+    points = mesh["points"] @ own[:3, :3] + own[3, :3]
+    return [points @ matrix[:3, :3] + matrix[3, :3] for matrix in np.asarray(shared)]
+
+
+def unshared(stage: Usd.Stage, time: float) -> list[np.ndarray]:
+    """World points of the bodies as usd-core bakes them where nothing is an instance."""
+    copy = Usd.Stage.Open(stage.Flatten())
+    for i in range(2):
+        copy.GetPrimAtPath(f"/World/i{i}").SetInstanceable(False)
+    flat = flatten(baked(copy), time)
+    return [worlds(flat, f"/World/i{i}/Body")[0] for i in range(2)]
+
+
+def test_a_skeleton_stands_where_its_instance_stands():
+    stage = new_stage()
+    character(stage, "/Asset")
+    stage.GetPrimAtPath("/Asset").SetSpecifier(Sdf.SpecifierClass)
+    instanced(stage, "SkelRoot", 20.0, 130.0)
+    for time in (1.0, 10.0):
+        flat = flatten(stage, time)
+        assert [path for path, prim in flat.prims.items() if prim["type"] == "Mesh"] == ["/World/i0/Body"]
+        for found, expected in zip(worlds(flat, "/World/i0/Body"), unshared(stage, time), strict=True):
+            np.testing.assert_allclose(found, expected, atol=5e-5)
+    assert np.abs(unshared(stage, 10.0)[0] - unshared(stage, 1.0)[0]).max() > 0.5
+
+
+def test_instances_around_one_skeleton_stand_where_it_stands():
+    """UsdSkel: the skeleton says where skinned points are, whatever the place of the mesh."""
+    stage = new_stage()
+    character(stage, "/World")
+    UsdSkel.BindingAPI.Apply(stage.GetPrimAtPath("/World")).CreateSkeletonRel().SetTargets(["/World/Skel"])
+    stage.RemovePrim("/World/Body")
+    influences(tube(stage, "/Asset/Body", None))
+    stage.GetPrimAtPath("/Asset").SetSpecifier(Sdf.SpecifierClass)
+    instanced(stage, "Xform", 20.0, 130.0)
+    flat = flatten(stage, 10.0)
+    for i, expected in enumerate(unshared(stage, 10.0)):
+        [found] = worlds(flat, f"/World/i{i}/Body")
+        np.testing.assert_allclose(found, expected, atol=5e-5)
+
+
 def test_a_mesh_outside_a_skel_root_stays_at_rest():
     stage = new_stage()
     character(stage)

@@ -35,6 +35,14 @@ def skel_root(prim: Usd.Prim) -> Usd.Prim | None:
     return prim or None
 
 
+def bones_outside(instance: Usd.Prim) -> bool:
+    """Whether what is in a native instance hangs on a skeleton that is not: the skeleton alone says where it stands."""
+    from pxr import UsdSkel  # only where there are skeletons
+
+    skeleton = UsdSkel.BindingAPI(instance).GetInheritedSkeleton()
+    return bool(skeleton) and not skeleton.GetPath().HasPrefix(instance.GetPath())
+
+
 class Skins:
     """Skeletons at one time, of each SkelRoot: instances that share a skeleton may bind different animations to it."""
 
@@ -55,7 +63,9 @@ class Skins:
         query = cache.GetSkinningQuery(prim)
         if not query:
             return
-        skeleton = cache.GetSkelQuery(UsdSkel.BindingAPI(prim).GetInheritedSkeleton())
+        # Where it stands: the query has that of the prototype, which stands nowhere, of skeletons in instances.
+        bound = UsdSkel.BindingAPI(prim).GetInheritedSkeleton()
+        skeleton = cache.GetSkelQuery(bound)
         if not skeleton:
             self.reader.warn(prim, "skel:skeleton: there is no usable skeleton; the mesh stays at rest")
             return
@@ -66,7 +76,7 @@ class Skins:
         mesh["points"] = np.asarray(points)
         if query.HasJointInfluences():
             joints = self.transforms(root, skeleton)
-            mesh["points"] = self.skin(prim, query, skeleton, joints, points, normals)
+            mesh["points"] = self.skin(prim, query, bound.GetPrim(), joints, points, normals)
         normals.store(mesh)
 
     def transforms(self, root: Usd.Prim, skeleton: UsdSkel.SkeletonQuery) -> Vt.Matrix4dArray | None:
@@ -109,7 +119,7 @@ class Skins:
         self,
         prim: Usd.Prim,
         query: UsdSkel.SkinningQuery,
-        skeleton: UsdSkel.SkeletonQuery,
+        skeleton: Usd.Prim,
         joints: Vt.Matrix4dArray | None,
         points: Vt.Vec3fArray,
         normals: Normals,
@@ -118,7 +128,7 @@ class Skins:
         if not joints:
             self.reader.warn(prim, "skel:skeleton: it has no joint transforms; the mesh stays at rest")
             return np.asarray(points)
-        to_mesh = self.xforms.GetLocalToWorldTransform(skeleton.GetPrim())
+        to_mesh = self.xforms.GetLocalToWorldTransform(skeleton)
         to_mesh *= self.xforms.GetLocalToWorldTransform(prim).GetInverse()
         if query.IsRigidlyDeformed():
             to_mesh = query.ComputeSkinnedTransform(joints, self.reader.moment) * to_mesh

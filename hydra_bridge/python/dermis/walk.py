@@ -18,6 +18,7 @@ from .light import LIGHT_TYPES, UNSUPPORTED_LIGHTS
 from .linking import Links, Placer
 from .mesh import INHERITED_PRIMVARS, MESH_TYPES, choice
 from .reading import Reader
+from .skel import bones_outside
 
 UNSUPPORTED_PRIMS = (
     "NurbsCurves",
@@ -188,6 +189,7 @@ class Walk:
         signature += (context.purpose, tuple((name, value) for name, _, value in context.primvars))
         signature += (self.bound_below(prim) if context.collections else context.bindings, context.skel)
         signature += (self.links.below(prim, frame.predicate, context.placer), context.placer)
+        signature += (prim.GetPath() if context.skel and bones_outside(prim) else None,)
         child = self.frames.get(signature)
         if child is None:
             child = Frame(
