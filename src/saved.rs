@@ -48,6 +48,13 @@ impl Loader<'_> {
         self.0.read_exact(bytemuck::cast_slice_mut(into))
     }
 
+    /// An array of any length.
+    pub fn vec<T: Pod>(&mut self) -> io::Result<Vec<T>> {
+        let mut values = vec![T::zeroed(); self.count()?];
+        self.0.read_exact(bytemuck::cast_slice_mut(&mut values))?;
+        Ok(values)
+    }
+
     /// Text or bytes of any length up to `most`.
     pub fn bytes(&mut self, most: usize) -> io::Result<Vec<u8>> {
         let mut bytes = vec![0; Some(self.count()?).filter(|&n| n <= most).ok_or_else(|| damaged("a text"))?];

@@ -133,11 +133,17 @@ impl Delegate {
     }
 
     #[pyo3(signature = (checkpoint = None, every = 0.0, resume = false))]
-    fn start(&self, py: Python<'_>, checkpoint: Option<PathBuf>, every: f64, resume: bool) -> PyResult<bool> {
+    fn start(
+        &self,
+        py: Python<'_>,
+        checkpoint: Option<PathBuf>,
+        every: f64,
+        resume: bool,
+    ) -> PyResult<Option<PathBuf>> {
         let every = Duration::try_from_secs_f64(every).map_err(|e| PyValueError::new_err(format!("every: {e}")))?;
         let started = self.with(py, |core| match checkpoint {
             Some(file) => core.start_with_checkpoints(file, every, resume),
-            None => core.start().map(|()| false),
+            None => core.start().map(|()| None),
         });
         started.map_err(core_error)
     }

@@ -341,15 +341,15 @@ impl RenderDelegate {
     }
 
     /// The same with a checkpoint `every` so often in `file`; with `resume` it goes on from that file if it is there,
-    /// and says whether it does.
+    /// and says from which file.
     ///
     /// # Errors
     /// As [`Self::start`], or a checkpoint that is not of this scene and these settings.
-    pub fn start_with_checkpoints(&mut self, file: PathBuf, every: Duration, resume: bool) -> Result<bool> {
+    pub fn start_with_checkpoints(&mut self, file: PathBuf, every: Duration, resume: bool) -> Result<Option<PathBuf>> {
         self.start_kept(Some(Keep { file, every, resume, fingerprint: self.fingerprint_of_render() }))
     }
 
-    fn start_kept(&mut self, keep: Option<Keep>) -> Result<bool> {
+    fn start_kept(&mut self, keep: Option<Keep>) -> Result<Option<PathBuf>> {
         let scene = self.scene.clone().filter(|_| self.clean);
         let scene = scene.ok_or_else(|| Error::Other("commit the scene before starting a render".into()))?;
         self.stop();
@@ -360,7 +360,7 @@ impl RenderDelegate {
             .map_err(|e| Error::Other(format!("threads: {e}")))?;
         let film = film_for(&scene, &settings)?.named(self.flat.meshes.keys().map(String::as_str));
         let (film, progress) = (Arc::new(film), Arc::new(Progress::default()));
-        let resumes = keep.as_ref().map_or(Ok(false), Keep::check)?;
+        let resumed = keep.as_ref().map_or(Ok(None), Keep::resumed)?;
         let (film_of_thread, progress_of_thread) = (film.clone(), progress.clone());
         let thread = std::thread::spawn(move || {
             let start = Instant::now();
@@ -368,7 +368,7 @@ impl RenderDelegate {
             Ok(start.elapsed().as_secs_f64())
         });
         self.pass = Some(Pass { film, progress, thread: Some(thread), seconds: None, started: Instant::now() });
-        Ok(resumes)
+        Ok(resumed)
     }
 
     /// (fraction done, finished).

@@ -7,11 +7,13 @@
 use super::vmf::{MAX_CONCENTRATION, Vmf};
 use crate::math::mean;
 use crate::medium::Medium;
+use bytemuck::{Pod, Zeroable};
 use glam::{IVec3, Vec2, Vec3};
 use rayon::prelude::*;
 
 /// Light that entered at a boundary point.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
 pub struct Beam {
     /// Walk space.
     pub p: Vec3,

@@ -7,6 +7,7 @@ use super::fit::fit;
 use super::vmf::{MAX_LOBES, VmfMixture};
 use crate::light::Parts;
 use crate::math::{Rgb, mean};
+use bytemuck::{Pod, Zeroable};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
@@ -23,13 +24,22 @@ pub struct Record {
     pub irradiance: Rgb,
     /// Of the lights that were sampled.
     pub lights: Vec<LightRecord>,
-    /// Directions to lights, with their irradiance.
-    pub directions: Vec<(Vec3, f32)>,
-    /// A direction by which light came from another surface, with its irradiance.
-    pub indirect: Option<(Vec3, f32)>,
+    /// From lights.
+    pub directions: Vec<Incident>,
+    /// A direction by which light came from another surface.
+    pub indirect: Option<Incident>,
 }
 
-#[derive(Debug, Clone, Copy)]
+/// Light from one direction.
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+pub struct Incident {
+    pub wi: Vec3,
+    pub irradiance: f32,
+}
+
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
 pub struct LightRecord {
     pub light: u32,
     /// Irradiance (mean of the channels) with and without shadows.
@@ -112,7 +122,7 @@ impl Cache {
         for record in records {
             if let Some(cell) = self.cells.find(record.p, record.n) {
                 let all = record.directions.iter().chain(&record.indirect);
-                directions[cell as usize].extend(all.map(|(d, e)| (*d, e * record.area)));
+                directions[cell as usize].extend(all.map(|from| (from.wi, from.irradiance * record.area)));
             }
         }
         self.incident = directions.par_iter().map(|directions| fit(directions, MAX_LOBES)).collect();

@@ -4,7 +4,7 @@
 //! same for the directions in which walks start was tried: the walk's own randomness hides what they are worth, and the
 //! picture got noisier.
 
-use super::cache::{Cache, Record};
+use super::cache::{Cache, Incident, Record};
 use super::cells::Cells;
 use super::directions::{DirectionSums, Directions};
 use crate::math::{PI, Rgb};
@@ -81,7 +81,7 @@ impl Exits {
             coarse: vec![DirectionSums::default(); coarser.len()],
         };
         for record in records {
-            if let (Some(cell), Some((wi, irradiance))) = (new.find(record.p, record.n), record.indirect) {
+            if let (Some(cell), Some(Incident { wi, irradiance })) = (new.find(record.p, record.n), record.indirect) {
                 // Out of a diffuse boundary f / p is the radiance, here irradiance / pi by one cosine sample.
                 let pdf = cosine_hemisphere_pdf(wi.dot(record.n));
                 let around = new.around[cell as usize] as usize;

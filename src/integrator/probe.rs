@@ -5,7 +5,7 @@ use super::shadow::visibility;
 use super::{Path, PathSettings, PathStats, Previous};
 use crate::bsdf::{Boundary, Side, fresnel};
 use crate::guiding::beams::Beam;
-use crate::guiding::cache::{LightRecord, Record};
+use crate::guiding::cache::{Incident, LightRecord, Record};
 use crate::guiding::{Guide, LightsAt};
 use crate::interaction::Interaction;
 use crate::light::Choice;
@@ -178,7 +178,7 @@ pub fn probe(
         stats,
         |light, wi, visible, unshadowed| {
             record.irradiance += visible;
-            record.directions.push((wi, mean(visible)));
+            record.directions.push(Incident { wi, irradiance: mean(visible) });
             record.lights.push(LightRecord { light, visible: mean(visible), unshadowed: mean(unshadowed) });
         },
     );
@@ -199,7 +199,7 @@ pub fn probe(
         let indirect = path.sample.color() * (PI * probe.entering(wi));
         if indirect.is_finite() {
             record.irradiance += indirect;
-            record.indirect = Some((wi, mean(indirect)));
+            record.indirect = Some(Incident { wi, irradiance: mean(indirect) });
         }
     }
     record

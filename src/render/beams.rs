@@ -1,12 +1,11 @@
 //! Filling the volumes behind smooth dielectrics with beams of light before the first pass.
 
 use super::bodies::{Aim, Body, share_records};
-use super::training::{BoundaryOf, MOST_PROBED};
-use crate::flat::RenderSettings;
+use super::training::{BoundaryOf, Training, probed};
 use crate::guiding::Guide;
-use crate::guiding::beams::Beams;
+use crate::guiding::beams::{Beam, Beams};
 use crate::integrator::{PROBED_LIGHTS, PathStats};
-use crate::scene::Scene;
+use crate::medium::Medium;
 
 /// Points at which beams of light are looked for, over records of a boundary cache: they follow no path.
 const PER_RECORD: u32 = 2;
@@ -15,51 +14,52 @@ const PER_RECORD: u32 = 2;
 /// sorted into cells, each takes about a kilobyte.
 const MOST: u32 = 80_000;
 
-/// Gives `guide` the beams that its plans need, by as many points as go with `records`. What `is_over` leaves out is found by
-/// chance.
-pub(super) fn add_beams(
-    scene: &Scene,
-    settings: &RenderSettings,
-    guide: &mut Guide,
-    records: u32,
-    is_over: impl Fn() -> bool,
-) -> PathStats {
-    let mut stats = PathStats::default();
-    let lights = scene.lights.count_met().min(PROBED_LIGHTS) as u32;
-    if lights == 0 {
-        return stats;
-    }
-    let (bodies, _) = share_records(scene, guide, Aim::Beams, records.min(MOST / (PER_RECORD * lights)));
-    for body in bodies.into_iter().take_while(|_| !is_over()) {
-        if let Some(beams) = beams(scene, settings, guide, &body, &mut stats) {
-            guide.set_beams(scene.instances.len(), &body.members, beams);
+impl<Over: Fn() -> bool> Training<'_, Over> {
+    /// Gives `guide` the beams that its plans need, by as many points as go with `records`. What is left out is found by
+    /// chance.
+    pub(super) fn add_beams(&mut self, guide: &mut Guide, records: u32) -> PathStats {
+        let mut stats = PathStats::default();
+        let lights = self.scene.lights.count_met().min(PROBED_LIGHTS) as u32;
+        if lights == 0 {
+            return stats;
         }
+        let most = records.min(MOST / (PER_RECORD * lights));
+        let (bodies, _) = share_records(self.scene, guide, Aim::Beams, most);
+        for body in bodies {
+            let Some((found, medium, seen)) = self.beams(guide, &body) else { break };
+            stats.add(&seen);
+            if let Some(beams) = medium.and_then(|medium| Beams::build(&found, &medium)) {
+                guide.set_beams(self.scene.instances.len(), &body.members, beams);
+            }
+        }
+        stats
     }
-    stats
-}
 
-/// Light that enters a body, seen from as many of those that share it as are worth a look.
-fn beams(scene: &Scene, settings: &RenderSettings, guide: &Guide, body: &Body, stats: &mut PathStats) -> Option<Beams> {
-    let step = body.members.len().div_ceil(MOST_PROBED);
-    let probed: Vec<u32> = body.members.iter().copied().step_by(step).collect();
-    let count = (PER_RECORD * body.records).div_ceil(probed.len() as u32);
-    let (mut all, mut medium) = (Vec::new(), None);
-    let boundary_of = |instance| BoundaryOf::new(scene.middle(), guide, instance, Aim::Beams);
-    for boundary in probed.into_iter().filter_map(boundary_of) {
-        let (mut found, seen) = boundary.beams_by_area(settings.seed, count);
-        all.append(&mut found);
-        stats.add(&seen);
-        medium.get_or_insert(boundary.medium);
+    /// Light that enters a body, seen from as many of those that share it as are worth a look; `None`: it is over.
+    fn beams(&mut self, guide: &Guide, body: &Body) -> Option<(Vec<Beam>, Option<Medium>, PathStats)> {
+        let probed = probed(body);
+        let count = (PER_RECORD * body.records).div_ceil(probed.len() as u32);
+        let (mut all, mut medium, mut stats) = (Vec::new(), None, PathStats::default());
+        let (scene, seed) = (self.scene.middle(), self.settings.seed);
+        for boundary in probed.into_iter().filter_map(|instance| BoundaryOf::new(scene, guide, instance, Aim::Beams)) {
+            let by_area = |points| boundary.beams_by_area(seed, points, count);
+            let (mut found, seen) = self.journal.gather(count, &self.is_over, by_area)?;
+            all.append(&mut found);
+            stats.add(&seen);
+            medium.get_or_insert(boundary.medium);
+        }
+        Some((all, medium, stats))
     }
-    Beams::build(&all, &medium?)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::delegate::{DirtyBits, RenderDelegate};
+    use crate::flat::RenderSettings;
     use crate::flat::{Camera, GeomSubset, Light, LightShape, Material, Mesh, PreviewSurface, Prim};
-    use crate::render::training::train;
+    use crate::render::journal::Journal;
+    use crate::scene::Scene;
     use std::sync::Arc;
 
     /// A cube of side 2 at (`x`, 0, -5): faces of `first` wear `/First`, the others `/Second`.
@@ -116,7 +116,8 @@ mod tests {
 
     fn trained(scene: &Scene, is_over: bool) -> (Guide, u64) {
         let mut guide = Guide::new(scene, &settings());
-        let trained = train(scene, &settings(), &mut guide, || is_over);
+        let (settings, journal) = (settings(), Journal::default());
+        let trained = Training { scene, settings: &settings, journal, is_over: || is_over }.train(&mut guide);
         (guide, trained.records)
     }
 

@@ -1,10 +1,11 @@
 //! Checkpoints: the state of a render in a file, from which another process goes on to the same image, bit for bit.
 //!
-//! What follows from scene and settings is made again (boundary caches, slab normals); what samples brought is kept: the
-//! film's sums, what the guide has learned, and what the tiles of the pass under way have taught. The numbers are those
+//! What follows from scene and settings is made again (slab normals, caches of what training found: see the journal); what
+//! samples brought is kept: the film's sums, what the guide has learned, and what the tiles of the pass under way have taught. The numbers are those
 //! of this machine's memory; a file of another machine kind, version, scene or settings is refused by its header.
 
 use super::adaptive::Adaptive;
+use super::journal::JOURNAL;
 use super::pass::{Merger, Passes, Phase, Schedule};
 use super::{Run, locked};
 use crate::error::{Error, Result};
@@ -37,20 +38,37 @@ pub struct Keep {
 }
 
 impl Keep {
-    /// Whether there is a checkpoint to go on from.
+    /// The file to go on from: that of the samples, or while there are none that of what training found.
     ///
     /// # Errors
     /// One of another scene, of other settings, or none that can be read.
-    pub fn check(&self) -> Result<bool> {
-        if !self.resume || !self.file.exists() {
-            return Ok(false);
-        }
-        let header = || self.header(&mut Loader(&mut BufReader::new(File::open(&self.file)?)));
-        header().map(|()| true).map_err(|error| self.fault(&error))
+    pub fn resumed(&self) -> Result<Option<PathBuf>> {
+        // Killed before it wrote a word, it found nothing.
+        let has_finds = || fs::metadata(self.journal()).is_ok_and(|journal| journal.len() > 0);
+        let (file, magic) = match self.resume {
+            true if self.has_samples() => (self.file.clone(), MAGIC),
+            true if has_finds() => (self.journal(), JOURNAL),
+            _ => return Ok(None),
+        };
+        let header = || self.header(magic, &mut Loader(&mut BufReader::new(File::open(&file)?)));
+        header().map_err(|error| self.fault(&file, &error))?;
+        Ok(Some(file))
     }
 
-    fn header(&self, from: &mut Loader) -> io::Result<()> {
-        if from.value::<u64>()? != MAGIC || from.value::<u32>()? != VERSION {
+    /// Whether samples were kept that are gone on from.
+    pub(super) fn has_samples(&self) -> bool {
+        self.resume && self.file.exists()
+    }
+
+    /// Where training keeps what it finds.
+    pub fn journal(&self) -> PathBuf {
+        let mut name = self.file.clone().into_os_string();
+        name.push(".training");
+        name.into()
+    }
+
+    pub(super) fn header(&self, magic: u64, from: &mut Loader) -> io::Result<()> {
+        if from.value::<u64>()? != magic || from.value::<u32>()? != VERSION {
             return Err(damaged("it is no checkpoint of this version, or it"));
         }
         if from.value::<u64>()? != self.fingerprint {
@@ -60,8 +78,14 @@ impl Keep {
         Ok(())
     }
 
-    fn fault(&self, error: &io::Error) -> Error {
-        Error::File { file: self.file.display().to_string(), field: "checkpoint".into(), message: error.to_string() }
+    pub(super) fn save_header(&self, magic: u64, to: &mut Saver) -> io::Result<()> {
+        to.value(&magic)?;
+        to.value(&VERSION)?;
+        to.value(&self.fingerprint)
+    }
+
+    pub(super) fn fault(&self, file: &Path, error: &io::Error) -> Error {
+        Error::File { file: file.display().to_string(), field: "checkpoint".into(), message: error.to_string() }
     }
 }
 
@@ -72,6 +96,10 @@ pub(super) struct Keeper<'a> {
 }
 
 impl<'a> Keeper<'a> {
+    pub fn keep(&self) -> &'a Keep {
+        self.keep
+    }
+
     pub fn new(keep: &'a Keep) -> Self {
         Self { keep, last: Mutex::new(Instant::now()) }
     }
@@ -98,7 +126,7 @@ impl Run<'_> {
         let mut report = locked(&self.progress.report);
         match written {
             Ok(()) => report.checkpoints.push(self.start.elapsed().as_secs_f64()),
-            Err(error) => report.warnings.push(keeper.keep.fault(&error).to_string()),
+            Err(error) => report.warnings.push(keeper.keep.fault(&keeper.keep.file, &error).to_string()),
         }
         *locked(&keeper.last) = Instant::now();
     }
@@ -112,9 +140,7 @@ impl Run<'_> {
         at: &Passes,
     ) -> io::Result<()> {
         let mut to = Saver(writer);
-        to.value(&MAGIC)?;
-        to.value(&VERSION)?;
-        to.value(&keep.fingerprint)?;
+        keep.save_header(MAGIC, &mut to)?;
         to.value(&u32::from(schedule.phase == Phase::Pilot))?;
         to.array(&schedule.budget)?;
         to.value(&at.done)?;
@@ -136,11 +162,11 @@ impl Run<'_> {
         at: &mut (Passes, Schedule),
     ) -> Result<()> {
         let Some(keep) = self.keeper.as_ref().map(|keeper| keeper.keep) else { return Ok(()) };
-        if !keep.check()? {
+        if !keep.has_samples() {
             return Ok(());
         }
         let load = || self.load(&mut Loader(&mut BufReader::new(File::open(&keep.file)?)), keep, film, at);
-        load().map_err(|error| keep.fault(&error))
+        load().map_err(|error| keep.fault(&keep.file, &error))
     }
 
     fn load<'f>(
@@ -150,7 +176,7 @@ impl Run<'_> {
         film: impl FnOnce(Phase) -> &'f Film,
         (passes, schedule): &mut (Passes, Schedule),
     ) -> io::Result<()> {
-        keep.header(from)?;
+        keep.header(MAGIC, from)?;
         let phase = if from.value::<u32>()? == 1 { Phase::Pilot } else { Phase::Image };
         if phase != schedule.phase {
             *schedule = Schedule::image(self.settings, schedule.budget.clone());

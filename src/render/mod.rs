@@ -5,6 +5,7 @@ mod areas;
 mod beams;
 mod bodies;
 mod checkpoint;
+mod journal;
 mod pass;
 mod training;
 
@@ -19,11 +20,13 @@ use crate::guiding::look::TechniqueShares;
 use crate::integrator::PathStats;
 use crate::scene::Scene;
 use checkpoint::Keeper;
+use journal::Journal;
 use pass::{Passes, Phase, Schedule};
 use serde::Serialize;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
+use training::Training;
 
 /// A render under way: shared between the thread that renders and those that watch.
 pub struct Progress {
@@ -72,6 +75,8 @@ pub struct GuideStats {
     pub seconds: f64,
     /// Boundary points with an irradiance estimate.
     pub records: u64,
+    /// Of them and of beams of light, those that came from a checkpoint.
+    pub resumed_finds: u64,
     /// Instances with a cache, and those too small on the picture for one.
     pub bodies: usize,
     pub bodies_too_small: usize,
@@ -146,7 +151,9 @@ pub fn render(
     keep: Option<&Keep>,
 ) -> Result<()> {
     let mut run = Run::new(scene, settings, progress, keep);
-    run.train(film);
+    if !run.train(film) {
+        return Ok(());
+    }
     let pilot = (settings.noise_threshold > 0.0 && settings.samples > adaptive::PILOT_SAMPLES)
         .then(|| adaptive::pilot_film(scene))
         .transpose()?;
@@ -203,13 +210,25 @@ impl<'a> Run<'a> {
         }
     }
 
-    fn train(&mut self, film: &Film) {
+    /// Whether passes follow: a checkpoint holds what was learned in all of the fields, so that training which is to be
+    /// gone on with leaves none.
+    fn train(&mut self, film: &Film) -> bool {
         let (progress, start, limit) = (self.progress, self.start, self.limit);
-        // A checkpoint holds what was learned in all of the fields.
-        let keeps = self.keeper.is_some();
-        let is_over = || !keeps && is_over(progress, start, limit);
-        let trained = training::train(self.scene, self.settings, &mut self.guide, is_over);
+        let keep = self.keeper.as_ref().map(Keeper::keep);
+        let has_samples = keep.map(Keep::has_samples);
+        let is_over = || match has_samples {
+            None => is_over(progress, start, limit),
+            Some(has_samples) => !has_samples && progress.stopped(),
+        };
+        let (scene, settings, journal) = (self.scene, self.settings, Journal::new(keep));
+        let mut training = Training { scene, settings, journal, is_over };
+        let trained = training.train(&mut self.guide);
         self.progress.add(&trained.stats);
+        self.learned.resumed_finds = training.journal.resumed;
+        locked(&self.progress.report).warnings.extend(training.journal.fault.map(|fault| fault.to_string()));
+        if has_samples == Some(false) && progress.stopped() {
+            return false;
+        }
         if film.watches_walks() {
             self.guide.number_regions();
         }
@@ -218,6 +237,7 @@ impl<'a> Run<'a> {
         [self.learned.bodies, self.learned.bodies_too_small] = trained.bodies;
         self.learned.count(&self.guide);
         self.progress.set_guide(self.learned.clone());
+        true
     }
 
     /// Whether a stop or the time limit ends the render.

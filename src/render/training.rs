@@ -4,8 +4,8 @@
 //! found as the paper does, where camera paths enter and where classical walks come out.
 
 use super::areas::Areas;
-use super::beams::add_beams;
 use super::bodies::{Aim, Body, share_records};
+use super::journal::Journal;
 use crate::flat::RenderSettings;
 use crate::guiding::beams::Beam;
 use crate::guiding::cache::Record;
@@ -24,6 +24,7 @@ use crate::subsurface::steps::{Start, WalkEnd, WalkStats};
 use crate::subsurface::walk::{Along, walk};
 use glam::{Mat3, Vec2, Vec3};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Apart from the samples of the image.
 const SEED: u32 = 0x7261_6e64;
@@ -52,7 +53,7 @@ const LEAST_LIT: u32 = 2;
 const CELL_RANGE: [f32; 2] = [1.0 / 128.0, 1.0 / 4.0];
 
 /// Bodies of one cache that are looked at: shadows of more say little new.
-pub(super) const MOST_PROBED: usize = 64;
+const MOST_PROBED: usize = 64;
 
 /// What training took.
 #[derive(Default)]
@@ -63,53 +64,72 @@ pub struct Trained {
     pub bodies: [usize; 2],
 }
 
-/// Fills the beams and fields of `guide` that its plans need. What `is_over` leaves out is as if nothing were known there.
-pub fn train(scene: &Scene, settings: &RenderSettings, guide: &mut Guide, is_over: impl Fn() -> bool) -> Trained {
-    let count = record_count(scene, settings);
-    let looked = add_beams(scene, settings, guide, count, &is_over);
-    // A body that fills the frame has most of the records, a tooth its share.
-    let (shares, small) = share_records(scene, guide, Aim::Records, count);
-    let mut trained = Trained { stats: looked, bodies: [shares.len(), small], ..Trained::default() };
-    let learned = guide.exit_lights == ExitLights::Learned && !shares.is_empty();
-    let parts = if learned { scene.lights.parts() } else { Parts::default() };
-    for body in shares.into_iter().take_while(|_| !is_over()) {
-        let instance = body.members[0];
-        let Some(boundary) = BoundaryOf::new(scene.middle(), guide, instance, Aim::Records) else { continue };
-        if body.members.len() > 1 {
-            if guide.homes.is_empty() {
-                guide.homes = (0..scene.instances.len() as u32).collect();
-            }
-            body.members.iter().for_each(|&member| guide.homes[member as usize] = instance);
-        }
-        let (found, seen) = records(scene, settings, guide, &body);
-        trained.stats.add(&seen);
-        trained.records += found.len() as u64;
-        let of_field = boundary.field_settings(settings, guide, found.len());
-        let field = Field::build(&found, &boundary.medium, &parts, of_field);
-        guide.fields[instance as usize] = Some(Box::new(field));
-    }
-    trained
+/// Training of the guide of one render.
+pub(super) struct Training<'a, Over: Fn() -> bool> {
+    pub scene: &'a Scene,
+    pub settings: &'a RenderSettings,
+    pub journal: Journal<'a>,
+    /// What it leaves out is as if nothing were known there.
+    pub is_over: Over,
 }
 
-/// The records of a body, from as many of those that share its cache as are worth a look.
-fn records(scene: &Scene, settings: &RenderSettings, guide: &Guide, body: &Body) -> (Vec<Record>, PathStats) {
-    let step = body.members.len().div_ceil(MOST_PROBED);
-    let probed: Vec<u32> = body.members.iter().copied().step_by(step).collect();
-    let share = probed.len() as u32;
-    let (mut all, mut stats) = (Vec::new(), PathStats::default());
-    let boundary_of = |instance| BoundaryOf::new(scene.middle(), guide, instance, Aim::Records);
-    for boundary in probed.into_iter().filter_map(boundary_of) {
-        let count = body.records.div_ceil(share);
-        let (mut found, seen) = match settings.cache_fill.as_str() {
-            "camera" => boundary.records_by_walks(guide, settings, count),
-            _ => boundary.records_by_area(guide, settings.seed, count),
-        };
-        // Together they stand for the boundary once.
-        found.iter_mut().for_each(|record| record.area /= share as f32);
-        all.append(&mut found);
-        stats.add(&seen);
+impl<Over: Fn() -> bool> Training<'_, Over> {
+    /// Fills the beams and fields of `guide` that its plans need.
+    pub fn train(&mut self, guide: &mut Guide) -> Trained {
+        let scene = self.scene;
+        let count = record_count(scene, self.settings);
+        let looked = self.add_beams(guide, count);
+        // A body that fills the frame has most of the records, a tooth its share.
+        let (shares, small) = share_records(scene, guide, Aim::Records, count);
+        let mut trained = Trained { stats: looked, bodies: [shares.len(), small], ..Trained::default() };
+        let learned = guide.exit_lights == ExitLights::Learned && !shares.is_empty();
+        let parts = if learned { scene.lights.parts() } else { Parts::default() };
+        for body in shares {
+            let instance = body.members[0];
+            let Some(boundary) = BoundaryOf::new(scene.middle(), guide, instance, Aim::Records) else { continue };
+            let Some((found, seen)) = self.records(guide, &body) else { break };
+            if body.members.len() > 1 {
+                if guide.homes.is_empty() {
+                    guide.homes = (0..scene.instances.len() as u32).collect();
+                }
+                body.members.iter().for_each(|&member| guide.homes[member as usize] = instance);
+            }
+            trained.stats.add(&seen);
+            trained.records += found.len() as u64;
+            let of_field = boundary.field_settings(self.settings, guide, found.len());
+            let field = Field::build(&found, &boundary.medium, &parts, of_field);
+            guide.fields[instance as usize] = Some(Box::new(field));
+        }
+        trained
     }
-    (all, stats)
+
+    /// The records of a body, from as many of those that share its cache as are worth a look; `None`: it is over.
+    fn records(&mut self, guide: &Guide, body: &Body) -> Option<(Vec<Record>, PathStats)> {
+        let probed = probed(body);
+        let share = probed.len() as u32;
+        let (mut all, mut stats) = (Vec::new(), PathStats::default());
+        let (scene, settings) = (self.scene.middle(), self.settings);
+        for boundary in probed.into_iter().filter_map(|instance| BoundaryOf::new(scene, guide, instance, Aim::Records))
+        {
+            let count = body.records.div_ceil(share);
+            let by_walks = |pairs| boundary.records_by_walks(guide, settings, pairs);
+            let by_area = |points| boundary.records_by_area(guide, settings.seed, points, count);
+            let (mut found, seen) = match settings.cache_fill.as_str() {
+                "camera" => self.journal.gather(count / 2, &self.is_over, by_walks)?,
+                _ => self.journal.gather(count, &self.is_over, by_area)?,
+            };
+            // Together they stand for the boundary once.
+            found.iter_mut().for_each(|record| record.area /= share as f32);
+            all.append(&mut found);
+            stats.add(&seen);
+        }
+        Some((all, stats))
+    }
+}
+
+/// Those of the bodies of one cache that are looked at.
+pub(super) fn probed(body: &Body) -> Vec<u32> {
+    body.members.iter().copied().step_by(body.members.len().div_ceil(MOST_PROBED)).collect()
 }
 
 fn record_count(scene: &Scene, settings: &RenderSettings) -> u32 {
@@ -156,8 +176,8 @@ impl<'a> BoundaryOf<'a> {
         })
     }
 
-    /// Records at points uniform over the surface.
-    fn records_by_area(&self, guide: &Guide, seed: u32, count: u32) -> (Vec<Record>, PathStats) {
+    /// Records at `points` of `count` that are uniform over the surface.
+    fn records_by_area(&self, guide: &Guide, seed: u32, points: Range<u32>, count: u32) -> (Vec<Record>, PathStats) {
         let share = (self.areas.sum() / f64::from(count)) as f32;
         let record = |i: u32| {
             let mut sampler = Sampler::new(seed ^ SEED, self.instance, i);
@@ -165,11 +185,11 @@ impl<'a> BoundaryOf<'a> {
             let hit = self.point(i, count, &mut sampler);
             (self.probe(guide, &hit, share, &mut sampler, &mut stats), stats)
         };
-        collect((0..count).into_par_iter().map(record))
+        collect(points.into_par_iter().map(record))
     }
 
-    /// Light that enters at points uniform over the surface.
-    pub(super) fn beams_by_area(&self, seed: u32, count: u32) -> (Vec<Beam>, PathStats) {
+    /// Light that enters at `points` of `count` that are uniform over the surface.
+    pub(super) fn beams_by_area(&self, seed: u32, points: Range<u32>, count: u32) -> (Vec<Beam>, PathStats) {
         let area = (self.areas.sum() / f64::from(count)) as f32;
         let beams = |i: u32| {
             let mut sampler = Sampler::new(seed ^ SEED, self.instance, i);
@@ -180,7 +200,7 @@ impl<'a> BoundaryOf<'a> {
             let found = beams_at(self.scene, enclosure, medium, &hit, outward, area, &mut sampler, &mut stats);
             (found, stats)
         };
-        let (found, seen): (Vec<Vec<Beam>>, Vec<PathStats>) = (0..count).into_par_iter().map(beams).unzip();
+        let (found, seen): (Vec<Vec<Beam>>, Vec<PathStats>) = points.into_par_iter().map(beams).unzip();
         let mut stats = PathStats::default();
         seen.iter().for_each(|s| stats.add(s));
         (found.into_iter().flatten().collect(), stats)
@@ -212,8 +232,13 @@ impl<'a> BoundaryOf<'a> {
         probe(self.scene, guide, &self.enclosure, hit, self.outward(hit), area, sampler, stats)
     }
 
-    /// Records where camera rays enter and where classical walks from there come out.
-    fn records_by_walks(&self, guide: &Guide, settings: &RenderSettings, count: u32) -> (Vec<Record>, PathStats) {
+    /// `pairs` of records, where camera rays enter and where classical walks from there come out.
+    fn records_by_walks(
+        &self,
+        guide: &Guide,
+        settings: &RenderSettings,
+        pairs: Range<u32>,
+    ) -> (Vec<Record>, PathStats) {
         let window = self.scene.camera.data_window;
         let pair = |i: u32| {
             let mut sampler = Sampler::new(settings.seed ^ SEED, self.instance, i);
@@ -253,7 +278,7 @@ impl<'a> BoundaryOf<'a> {
             }
             Some((records, stats))
         };
-        let found: Vec<(Vec<Record>, PathStats)> = (0..count / 2).into_par_iter().filter_map(pair).collect();
+        let found: Vec<(Vec<Record>, PathStats)> = pairs.into_par_iter().filter_map(pair).collect();
         let mut stats = PathStats::default();
         found.iter().for_each(|(_, seen)| stats.add(seen));
         (found.into_iter().flat_map(|(records, _)| records).collect(), stats)

@@ -77,6 +77,50 @@ def test_killed_and_resumed_is_the_uninterrupted_image(wax, tmp_path, walk, nois
     assert names(tmp_path) == ["a.exr", "s.json", "wax.usda", "whole.exr"]
 
 
+@pytest.mark.parametrize("fill", ["surface", "camera"])
+def test_killed_while_training(wax, tmp_path, fill):
+    """What was found of the light at the boundary is not looked for again, and the image is the same."""
+    flags = ("-w", "40", "--samples", "8", "--threads", "1", "--set", f"cacheFill={fill}")
+    assert run("record", wax, tmp_path / "whole.exr", *flags) == 0
+    out, found = tmp_path / "a.exr", tmp_path / "a.exr.checkpoint.training"
+    child = start("record", wax, out, *flags, "--checkpoint", "1000")
+    while child.poll() is None and not has_a_chunk(found):
+        time.sleep(0.001)
+    assert child.poll() is None, "it was too fast to be killed"
+    child.kill()
+    child.communicate()
+    assert not (tmp_path / "a.exr.checkpoint").exists()
+    child = start("record", wax, out, *flags, "--resume", "--stats", tmp_path / "s.json")
+    said = child.communicate(timeout=300)[0]
+    assert child.returncode == 0 and f"Resuming from {found}" in said
+    stats = json.loads((tmp_path / "s.json").read_text())
+    assert stats["resumed_samples_per_pixel"] is None
+    assert 1000 < stats["guide"]["resumed_finds"] <= stats["guide"]["records"]
+    same_image(tmp_path / "whole.exr", out)
+    assert names(tmp_path) == ["a.exr", "s.json", "wax.usda", "whole.exr"]
+
+
+def has_a_chunk(journal: Path) -> bool:
+    """Whether the first of its finds are there: 20 bytes of header, a digest, their length, and they."""
+    data = journal.read_bytes() if journal.exists() else b""
+    return len(data) > 36 and len(data) >= 36 + struct.unpack_from("<Q", data, 28)[0]
+
+
+def test_interrupted_while_training(wax, tmp_path):
+    """It ends at once, and goes on from what it had found."""
+    flags = ("-w", "300", "--samples", "64", "--threads", "1")
+    found = tmp_path / "a.exr.checkpoint.training"
+    child = start("record", wax, tmp_path / "a.exr", *flags, "--checkpoint", "1000")
+    while child.poll() is None and not has_a_chunk(found):
+        time.sleep(0.001)
+    child.send_signal(signal.SIGINT)
+    child.communicate(timeout=60)
+    assert child.returncode == 130
+    kept = found.stat().st_size
+    assert run("record", wax, tmp_path / "a.exr", *flags, "--samples", "65", "--resume") == 1
+    assert found.stat().st_size == kept and not (tmp_path / "a.exr.checkpoint").exists()
+
+
 def is_past(keep: Path, pilot: bool, samples: int) -> bool:
     """Whether a checkpoint is of that phase or a later one, with that many samples done in it."""
     if not keep.exists():
@@ -95,7 +139,7 @@ def test_interrupted_and_resumed(wax, tmp_path):
     assert child.returncode == 130
     # What was rendered is there, marked, and so is the way on.
     assert read_exr(tmp_path / "a.exr")[0].getattribute("dermis.complete") == "false"
-    assert names(tmp_path) == ["a.exr", "a.exr.checkpoint", "wax.usda"]
+    assert names(tmp_path) == ["a.exr", "a.exr.checkpoint", "a.exr.checkpoint.training", "wax.usda"]
     stats = ("--stats", tmp_path / "s.json")
     assert run("record", wax, tmp_path / "a.exr", *flags, "--resume", "--skipExisting", *stats) == 0
     found = json.loads((tmp_path / "s.json").read_text())
@@ -250,6 +294,6 @@ def test_start_says_whether_it_resumes(tmp_path):
     delegate.sync("/Cam", json.dumps({"type": "Camera"}), [], 1023)
     delegate.set_settings(json.dumps({"camera": "/Cam"}))
     delegate.commit()
-    assert delegate.start(str(tmp_path / "c"), 1.0, True) is False
+    assert delegate.start(str(tmp_path / "c"), 1.0, True) is None
     with pytest.raises(ValueError, match="every"):
         delegate.start(str(tmp_path / "c"), -1.0, True)

@@ -1,6 +1,7 @@
 """The Rust core, as the bridge sees it. Prims arrive as JSON (`flat::Prim`, tag `type`) with their arrays beside it."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
 from numpy.typing import NDArray
 
@@ -72,10 +73,11 @@ class Delegate:
         """World bounds (min, max) of the visible meshes; None without any."""
 
     def cameras(self) -> list[str]: ...
-    def start(self, checkpoint: str | None = None, every: float = 0.0, resume: bool = False) -> bool:
+    def start(self, checkpoint: str | None = None, every: float = 0.0, resume: bool = False) -> Path | None:
         """Starts the render in the background; call after `commit`. With `checkpoint`, its state is written to that
-        file `every` so many seconds and where it is stopped; with `resume` it goes on from the file, to the image of
-        an uninterrupted render. True if it does. Raises CoreError for a file of another scene or other settings."""
+        file `every` so many seconds and where it is stopped, and what training finds at once beside it, with the
+        suffix `.training`; with `resume` it goes on from there, to the image of an uninterrupted render. The file
+        that it goes on from, if there is one. Raises CoreError for one of another scene or other settings."""
 
     def poll(self) -> tuple[float, bool]:
         """(fraction done, finished). Raises CoreError if the render failed."""

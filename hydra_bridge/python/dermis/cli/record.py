@@ -189,6 +189,7 @@ class Recorder:
             Path(files.snapshot_name(made.file)).unlink(missing_ok=True)
         if complete and keep:
             Path(keep).unlink(missing_ok=True)
+            Path(f"{keep}.training").unlink(missing_ok=True)
 
     def outputs(self, when: Any) -> list[Any]:
         file = self.args.outputImagePath
@@ -270,7 +271,7 @@ def render(
     if keep:
         resumed = delegate.start(keep, args.checkpoint or CHECKPOINT_SECONDS, args.resume)
         if resumed:
-            say(f"Resuming from {keep}")
+            say(f"Resuming from {resumed}")
     else:
         delegate.start()
     last = time.monotonic()
