@@ -206,6 +206,27 @@ def test_the_source_of_a_var_counts_before_its_name(make_stage, name, source, ki
     assert all(words in message for words, (_, message) in zip(said, report.warnings, strict=True))
 
 
+def test_products_rendered_apart_are_skipped_apart(stage, tmp_path, capsys):
+    """What a killed run had finished of a frame is not rendered again; the statistics are of the first."""
+    small = "uniform int2 resolution = (6, 6)"
+    file = stage(product("A", f"{tmp_path}/a.exr", "beauty"), product("B", f"{tmp_path}/b.exr", "Z", small))
+    flags = ("record", file, "--skipExisting")
+    for missing, done in (("b", "a"), ("a", "b")):
+        assert run(*flags) == 0
+        before = (tmp_path / f"{done}.exr").stat().st_mtime_ns
+        (tmp_path / f"{missing}.exr").unlink()
+        capsys.readouterr()
+        assert run(*flags) == 0
+        assert f"{tmp_path}/{done}.exr is there" in capsys.readouterr().out
+        assert (tmp_path / f"{done}.exr").stat().st_mtime_ns == before
+        assert channels(tmp_path / f"{missing}.exr")
+    before = [(tmp_path / f"{name}.exr").stat().st_mtime_ns for name in "ab"]
+    assert run(*flags, "--stats", tmp_path / "s.json") == 0
+    after = [(tmp_path / f"{name}.exr").stat().st_mtime_ns for name in "ab"]
+    assert after[0] > before[0] and after[1] == before[1]
+    assert json.loads((tmp_path / "s.json").read_text())["settings"]["resolution"] == [16, 8]
+
+
 def layered(make_stage, **expressions):
     """What is said of RenderVars with these expressions in one product."""
     stage = make_stage(

@@ -132,6 +132,13 @@ def test_auto_takes_one_channel_of_eight_bits_as_data(tmp_path):
     np.testing.assert_allclose(glow_of(file, output="r")[:, 0], rounded(texels, "u8").ravel(), rtol=2e-6)
 
 
+def test_auto_believes_a_file_that_says_it_is_linear(tmp_path):
+    """PNG's gAMA of 1; Storm's reader of PNG asks for it, too."""
+    texels = RNG.random((2, 3, 3))
+    file = write(tmp_path / "a.png", texels, **{"oiio:ColorSpace": "lin_rec709_scene"})
+    np.testing.assert_allclose(glow_of(file), rounded(texels, "u8").reshape(-1, 3), rtol=2e-6)
+
+
 def test_bilinear_between_texels(tmp_path):
     texels = RNG.random((2, 3, 3))
     file = write(tmp_path / "a.exr", texels, "float")

@@ -70,8 +70,10 @@ def add_image(
     modified = stamp(path)
     header = read_header(path, modified)
     if space == "auto":
-        # The specification of UsdPreviewSurface: sRGB iff 8-bit with 3 or 4 channels.
-        space = "sRGB" if header.bits == "u8" and header.channels > 2 else "raw"
+        # The specification of UsdPreviewSurface: sRGB iff 8-bit with 3 or 4 channels, unless the file says otherwise.
+        # That it is linear is believed. That it is sRGB is not, as in usdrecord: OpenImageIO writes so into every
+        # PNG, data of 16 bits included.
+        space = "sRGB" if header.bits == "u8" and header.channels > 2 and not header.is_linear else "raw"
     space = "sRGB" if space in SRGB else "raw" if space in RAW else space
     if space not in ("sRGB", "raw"):
         try:
@@ -93,6 +95,7 @@ class Header:
     def __init__(self, spec: Any, bits: str) -> None:
         self.bits = bits
         self.channels = min(spec.nchannels, 4)
+        self.is_linear = str(spec.getattribute("oiio:ColorSpace") or "").lower().startswith("lin")
         self.wraps = [WRAPS.get(wrap) for wrap in str(spec.getattribute("wrapmodes") or "").split(",")]
 
 

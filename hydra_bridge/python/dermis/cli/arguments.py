@@ -247,7 +247,9 @@ def add_batch_arguments(parser: argparse.ArgumentParser) -> None:
     """Runs that are long, many, or end before they are done."""
     group = parser.add_argument_group("batch")
     group.add_argument(
-        "--skipExisting", action="store_true", help="skip frames whose files are there, each complete"
+        "--skipExisting",
+        action="store_true",
+        help="skip frames, and products rendered apart, whose files are there, each complete",
     )
     group.add_argument(
         "--checkpoint",

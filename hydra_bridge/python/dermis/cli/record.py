@@ -142,6 +142,9 @@ class Recorder:
             print(f"Recording time code: {when.GetValue():f}", flush=True)
         self.printer.print(loaded.warnings)
         for i, view in enumerate(loaded.views):
+            if self.args.skipExisting and self.is_there(view.outputs, when, first=i == 0):
+                print(f"Skipping{_at(when)}: {view.outputs[0].file} is there", flush=True)
+                continue
             # The delegate has those of the last view of the frame before.
             if len(loaded.views) > 1:
                 loaded.delegate.set_settings(json.dumps(view.settings))
@@ -195,13 +198,13 @@ class Recorder:
         file = self.args.outputImagePath
         return self.scene.outputs(when, self.named(file, when) if file else None)
 
-    def files(self, outputs: list[Any], when: Any) -> list[str]:
-        """Everything that a frame writes."""
-        others = (self.args.displayImage, self.args.stats)
+    def files(self, outputs: list[Any], when: Any, first: bool = True) -> list[str]:
+        """Everything that a frame, or a view of it, writes: the `first` has more."""
+        others = (self.args.displayImage, self.args.stats) if first else ()
         return [*(made.file for made in outputs), *(self.named(path, when) for path in others if path)]
 
-    def is_there(self, outputs: list[Any], when: Any) -> bool:
-        return all(files.is_complete(Path(file)) for file in self.files(outputs, when))
+    def is_there(self, outputs: list[Any], when: Any, first: bool = True) -> bool:
+        return all(files.is_complete(Path(file)) for file in self.files(outputs, when, first))
 
     def refuse_same_file(self, outputs: list[Any]) -> None:
         """A productName without time samples or placeholder would write every frame over the one before."""
