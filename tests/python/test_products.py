@@ -436,6 +436,76 @@ def test_collections_of_a_pass(tmp_path, capsys, collection, seen, said):
     assert said in capsys.readouterr().err
 
 
+PLACED = """
+    class Xform "Proto"
+    {
+        def Plane "Card"
+        {
+            double width = 0.6
+            double length = 0.6
+        }
+    }
+    def Xform "A" (
+        instanceable = true
+        references = </World/Proto>
+    )
+    {
+        double3 xformOp:translate = (-1, 1, 0)
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+    }
+    def Xform "B" (
+        instanceable = true
+        references = </World/Proto>
+    )
+    {
+        double3 xformOp:translate = (1, 1, 0)
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+    }
+    def PointInstancer "Points"
+    {
+        rel prototypes = [</World/Proto>, </World/Points/Own>]
+        int[] protoIndices = [0, 1]
+        point3f[] positions = [(-1, -1, 0), (1, -1, 0)]
+        def Plane "Own"
+        {
+            double width = 0.6
+            double length = 0.6
+        }
+    }
+"""
+
+
+@pytest.mark.parametrize(
+    ("collection", "seen"),
+    [
+        ("rel collection:renderVisibility:excludes = </World/A>", [0, 1, 1, 1]),
+        ("rel collection:renderVisibility:excludes = </World/B>", [1, 0, 1, 1]),
+        ("rel collection:renderVisibility:excludes = </World/B/Card>", [1, 0, 1, 1]),
+        ("rel collection:renderVisibility:excludes = </World/Points>", [1, 1, 0, 0]),
+        ("rel collection:renderVisibility:excludes = </World/Points/Own>", [1, 1, 1, 0]),
+        ("rel collection:prune:includes = </World/A>", [0, 1, 1, 1]),
+        ("rel collection:prune:includes = [</World/B>, </World/Points>]", [1, 0, 0, 0]),
+        (
+            'uniform token collection:prune:expansionRule = "explicitOnly"\n'
+            "rel collection:prune:includes = [</World/A>, </World/Points>]",
+            [0, 1, 0, 0],
+        ),
+        (
+            "uniform bool collection:renderVisibility:includeRoot = 0\n"
+            "rel collection:renderVisibility:includes = [</World/A>, </World/Points>, </World/Dome>]",
+            [1, 0, 1, 1],
+        ),
+    ],
+)
+def test_collections_of_a_pass_tell_instances_apart(tmp_path, collection, seen):
+    outside = settings() + f'def RenderPass "Pass"\n{{\nrel renderSource = </Render/S>\n{collection}\n}}\n'
+    (tmp_path / "stage.usda").write_text(stage_text(PLACED, CAMERA, DOME, outside=outside))
+    flags = ("-rp", "/Pass", "--set", "resolution=16,16")
+    assert run("record", tmp_path / "stage.usda", tmp_path / "a.exr", *flags) == 0
+    alpha = channels(tmp_path / "a.exr")["A"]
+    assert [round(float(alpha[y, x])) for y in (4, 12) for x in (4, 12)] == seen
+
+
 BOUND = """
 def Mesh "Card" (
     prepend apiSchemas = ["MaterialBindingAPI"]

@@ -111,6 +111,7 @@ class Index:
         #: UsdSkel.Cache by SkelRoot.
         self.skeletons: dict[str, Any] = {}
         self._links: tuple[Links, Report] | None = None
+        self._render_pass = ""
         self._primvars: set[str] | None = None
         me = ref(self)
 
@@ -209,13 +210,14 @@ class Index:
         known = self.fresh(stage).items()
         return [(stage.GetPrimAtPath(path), found) for path, found in known if found.moving or found.bends]
 
-    def links(self, stage: Usd.Stage) -> tuple[Links, Report]:
-        """Light links, and what there is to be said of them. Expressions may ask for anything of the stage: what they
-        find is not kept."""
+    def links(self, stage: Usd.Stage, render_pass: str = "") -> tuple[Links, Report]:
+        """Light links and the collections of a pass, and what there is to be said of them. Expressions may ask for
+        anything of the stage: what they find is not kept."""
         with self.lock:
-            if self._links is None or not self._links[0].by_rules:
-                report = Report()
-                self._links = Links(self.lights(stage), report), report
+            if self._links is None or not self._links[0].by_rules or self._render_pass != render_pass:
+                report, prim = Report(), stage.GetPrimAtPath(render_pass) if render_pass else None
+                self._links = Links(self.lights(stage), report, prim), report
+                self._render_pass = render_pass
             return self._links
 
     def skeletons_of(self, root: Usd.Prim) -> Any:

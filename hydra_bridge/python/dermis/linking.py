@@ -1,4 +1,5 @@
-"""Light linking: the collections that say what a light lights and what casts its shadows, as Hydra's categories."""
+"""Collections that say what takes part: what a light lights and what casts its shadows, as Hydra's categories, and what
+a RenderPass shows."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -9,6 +10,7 @@ from pxr import Sdf, Usd, UsdGeom
 from .reading import Report, usd_words
 
 LINKS = ("lightLink", "shadowLink")
+PASS = ("renderVisibility", "prune")
 
 
 @dataclass(frozen=True)
@@ -45,19 +47,27 @@ class Collection:
 
 
 class Links:
-    """The collections of a stage's lights that leave something out; equal ones count once.
+    """The collections of a stage's lights that leave something out, equal ones once, and those of the pass.
 
     Rules name few paths, instances are many: what no rule names is a member where its neighbours are, so rules are
     asked once for all of them.
     """
 
-    def __init__(self, lights: Iterable[Usd.Prim], report: Report) -> None:
+    def __init__(
+        self, lights: Iterable[Usd.Prim], report: Report, render_pass: Usd.Prim | None = None
+    ) -> None:
         self.collections: list[Collection] = []
         self.names: dict[tuple[str, str], str] = {}
         known: dict[Any, str] = {}
         for prim in lights:
             for link in LINKS:
                 self.add(prim, link, known, report)
+        #: Those before are the lights'.
+        self.linked = len(self.collections)
+        #: Index of the pass's collections, by name.
+        self.of_pass: dict[str, int] = {}
+        if render_pass:
+            self.add_pass(render_pass, report)
         #: Whether rules are all there is; expressions know more of a prim than its path.
         self.by_rules = all(collection.rules is not None for collection in self.collections)
         self._named = {path for collection in self.collections for path in collection.rules or ()}
@@ -65,14 +75,16 @@ class Links:
         self._above.add(Sdf.Path.absoluteRootPath)
         self._members: dict[tuple[Sdf.Path, Placer | None], tuple[bool, ...]] = {}
 
+    def add_pass(self, prim: Usd.Prim, report: Report) -> None:
+        """Of a RenderPass; what it does not author leaves nothing out."""
+        for name in filter(lambda name: is_authored(prim, name), PASS):
+            if collection := collected(prim, name, report, "every prim is rendered"):
+                self.of_pass[name] = len(self.collections)
+                self.collections.append(collection)
+
     def add(self, prim: Usd.Prim, link: str, known: dict[Any, str], report: Report) -> None:
-        try:
-            query = Usd.CollectionAPI(prim, link).ComputeMembershipQuery()
-        except Exception as error:  # a damaged collection must not cost the picture
-            report.warn(prim, f"collection:{link}: {usd_words(error)}; the light is for everything")
-            return
-        collection = Collection(f"{prim.GetPath()}.collection:{link}", query)
-        if collection.rules == {Sdf.Path.absoluteRootPath: "expandPrims"}:
+        collection = collected(prim, link, report, "the light is for everything")
+        if collection is None or collection.rules == {Sdf.Path.absoluteRootPath: "expandPrims"}:
             return
         key = tuple(sorted(collection.rules.items())) if collection.rules is not None else collection.name
         if key not in known:
@@ -100,9 +112,21 @@ class Links:
         return tuple(c.has(path, (placer.path, inside)) for c, inside in within)
 
     def categories(self, path: Sdf.Path, placer: Placer | None) -> list[str]:
-        """Names of the collections that a prim is in."""
-        within = zip(self.collections, self.memberships(path, placer), strict=True)
+        """Names of the lights' collections that a prim is in."""
+        if not self.linked:
+            return []
+        within = zip(self.collections[: self.linked], self.memberships(path, placer), strict=False)
         return [collection.name for collection, inside in within if inside]
+
+    def shows(self, path: Sdf.Path, placer: Placer | None) -> bool:
+        """Whether the pass has a prim among those rendered."""
+        place = self.of_pass.get("renderVisibility")
+        return place is None or self.memberships(path, placer)[place]
+
+    def prunes(self, path: Sdf.Path, placer: Placer | None) -> bool:
+        """Whether the pass takes a prim away, and what is below it."""
+        place = self.of_pass.get("prune")
+        return place is not None and self.memberships(path, placer)[place]
 
     def below(self, instance: Usd.Prim, predicate: Any, placer: Placer | None) -> tuple:
         """What is in which collection within a native instance: alike instances give alike answers."""
@@ -117,3 +141,17 @@ class Links:
     def placed_by(self, instancer: Sdf.Path, placer: Placer | None) -> Placer | None:
         """For the prototypes of a point instancer; None where nothing is linked."""
         return Placer(instancer, self.memberships(instancer, placer)) if self.collections else None
+
+
+def collected(prim: Usd.Prim, name: str, report: Report, without: str) -> Collection | None:
+    """A collection of a prim; none, and what that means, where it is damaged: it must not cost the picture."""
+    try:
+        query = Usd.CollectionAPI(prim, name).ComputeMembershipQuery()
+    except Exception as error:
+        report.warn(prim, f"collection:{name}: {usd_words(error)}; {without}")
+        return None
+    return Collection(f"{prim.GetPath()}.collection:{name}", query)
+
+
+def is_authored(prim: Usd.Prim, name: str) -> bool:
+    return any(found.IsAuthored() for found in prim.GetPropertiesInNamespace(f"collection:{name}"))

@@ -66,6 +66,7 @@ class Options:
     camera: path of a camera to include although the walk may not reach it (inactive purpose, inside an
     instance).
     shutter_camera: name or path of the camera whose shutter counts; empty: that of the settings, else `main_cam`.
+    render_pass: path of the RenderPass whose collections say what is rendered; empty: everything is.
     motion: whether to sample what moves while it is open; None: as the settings say.
     """
 
@@ -76,6 +77,7 @@ class Options:
     rendering_color_space: str = ""
     aovs: tuple[str, ...] = ()
     shutter_camera: str = ""
+    render_pass: str = ""
     motion: bool | None = None
 
 
@@ -195,7 +197,7 @@ class Flattening:
             self.flat.settings, self.flat.products = self.authored, self.products
         reader.show(aov.removeprefix(PRIMVAR) for aov in self.aovs() if aov.startswith(PRIMVAR))
         self.binding = binding_purposes(settings, reader)
-        self.links, said = index.links(stage)
+        self.links, said = index.links(stage, options.render_pass)
         for warning in said.warnings:
             reader.warn(*warning)
 

@@ -41,7 +41,7 @@ PROTOTYPES = Usd.TraverseInstanceProxies(Usd.PrimIsActive & Usd.PrimIsLoaded)
 class Context:
     """What a prim has from its ancestors. `primvars`: name, primvar, bytes of its value; `bindings`: direct
     material bindings in force as (relationship, material, stronger than descendants); `skel`: skeleton and
-    animation bound, as (relationship, targets); `placer`: the point instancer around it, where light links ask."""
+    animation bound, as (relationship, targets); `placer`: the point instancer around it, where collections ask."""
 
     visible: bool = True
     purpose: str = "default"
@@ -140,6 +140,8 @@ class Walk:
 
     def visit(self, prim: Usd.Prim, frame: Frame, context: Context, parent: Gf.Matrix4d | None) -> None:
         context = descend(prim, context, self.reader)
+        if self.links.prunes(prim.GetPath(), context.placer):
+            context = replace(context, visible=False)
         frame, matrix = self.matrix(prim, frame, parent)
         kind = str(prim.GetPrimTypeInfo().GetSchemaTypeName())
         if kind == "PointInstancer":
@@ -168,6 +170,8 @@ class Walk:
 
     def note(self, prim: Usd.Prim, kind: str, frame: Frame, context: Context, matrix: Gf.Matrix4d) -> None:
         """Adds a prim to the frame if it is one that renders."""
+        if not self.links.shows(prim.GetPath(), context.placer):
+            context = replace(context, visible=False)
         if kind in MESH_TYPES:
             if context.purpose in self.purposes:
                 emits = prim.HasAPI("LightAPI")

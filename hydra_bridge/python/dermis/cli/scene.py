@@ -158,8 +158,6 @@ class Stage:
             self._settle_view(flat, when, loaded, authored, group) for group in grouped(outputs or [])
         ]
         flat.settings = dict(loaded.views[0].settings)
-        if self.args.rpPrimPath:
-            passes.hide_excluded(self.stage.GetPrimAtPath(self.args.rpPrimPath), flat.prims)
         self._light(flat, flat.settings["camera"], loaded)
         self.synced = hydra.populate(delegate, flat, previous)
         loaded.camera = loaded.views[0].camera
@@ -192,6 +190,7 @@ class Stage:
             rendering_color_space=self.typed.get("renderingColorSpace", ""),
             aovs=tuple(self.typed.get("aovs", ())),
             shutter_camera=self.args.camera or self.typed.get("camera", ""),
+            render_pass=self.args.rpPrimPath or "",
             motion=True if vectors else None if typed is None else not typed,
         )
 
