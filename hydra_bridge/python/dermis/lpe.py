@@ -7,12 +7,12 @@ it, in every part, is a sum of parts.
 
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from itertools import product
 
 from .aovs import CELLS, SUMS
+from .events import Pattern, after, either, is_over, one, reached, repeated, sequence
 
 EVENTS = {
     "d": ("R", "D", ""),
@@ -51,7 +51,7 @@ FOG = {"b": f"b{VOLUME}"}
 """What a medium scatters has come by V where the medium is fog, which light gets into and out of without an event."""
 
 LONG = 40
-"""Events of the longest paths that are asked about: more than any expression counts."""
+"""Later events of the longest paths that are asked about: more than any expression counts."""
 
 COUNT = re.compile(r"[*+?]|\{(\d*)(,?)(\d*)\}")
 
@@ -91,9 +91,33 @@ def answers_of(text: str, finer: dict[str, str] | None = None, apart: bool = Fal
     several kinds; `apart`: S and G are two things."""
     try:
         pattern = Reader(re.sub(r"\s+", "", text).replace('"', "'"), apart).pattern()
-        return {cell: {len(p) in pattern(p, {0}) for p in paths_of(cell, finer or {})} for cell in CELLS}
+        return {cell: answers_about(pattern, cell, finer or {}) for cell in CELLS}
     except (ValueError, RecursionError):  # NotRead, and counts of thousands of digits
         return {}
+
+
+def answers_about(pattern: Pattern, cell: str, finer: dict[str, str]) -> set[bool]:
+    """Whether it takes paths of a part. They end on lights: what glows is one."""
+    return {is_over(after(rest, light)) for rest in after_ways(pattern, cell, finer) for light in "Llm"}
+
+
+def after_ways(pattern: Pattern, cell: str, finer: dict[str, str]) -> set[Pattern]:
+    """What the ways of a part from the camera to a light leave of a pattern."""
+    if cell == "emission":
+        return {pattern}
+    lobe = cell.removeprefix("direct").removeprefix("indirect")
+    firsts = {after(pattern, kind) for event in FIRST[lobe] for kind in finer.get(event, event)}
+    if cell.startswith("direct"):
+        return firsts
+    later = "".join(finer.get(event, event) for event in LATER)
+    # Of media entry and exit at least: RenderMan counts it so, too.
+    seconds = {after(first, kind) for first in firsts for kind in later}
+    scattered = (
+        {after(pattern, VOLUME)}
+        if VOLUME in "".join(finer.get(event, "") for event in FIRST[lobe])
+        else set()
+    )
+    return reached(seconds, later, LONG) | scattered
 
 
 def sum_of(cells: tuple[str, ...]) -> str:
@@ -106,64 +130,7 @@ def sum_of(cells: tuple[str, ...]) -> str:
     return "+".join(names)
 
 
-def paths_of(cell: str, finer: dict[str, str]) -> Iterator[str]:
-    """Paths of a part, up to three events after the first, and long ones. They end on lights: what glows is one."""
-    later = "".join(finer.get(event, event) for event in LATER)
-    if cell == "emission":
-        firsts, rests = [""], [""]
-    else:
-        lobe = cell.removeprefix("direct").removeprefix("indirect")
-        firsts = [kind for event in FIRST[lobe] for kind in finer.get(event, event)]
-        # Of media entry and exit at least: RenderMan counts it so, too.
-        rests = [""] if cell.startswith("direct") else list(more(later))
-    ways = [first + rest for first in firsts for rest in rests] + [VOLUME] * (VOLUME in firsts)
-    return (way + light for way in ways for light in "Llm")
-
-
-def more(later: str) -> Iterator[str]:
-    for count in (1, 2, 3):
-        yield from map("".join, product(later, repeat=count))
-    yield from (event * LONG for event in later)
-    yield from (pair * (LONG // 2) for pair in ("dg", "gd", "td", "bd"))
-
-
 Test = Callable[[tuple[str, str, str]], bool]
-
-Pattern = Callable[[str, set[int]], set[int]]
-"""Where in a path a part of an expression may end that began at one of some places: sets, so that no expression takes
-long."""
-
-
-def one(test: Test) -> Pattern:
-    letters = frozenset(letter for letter, event in EVENTS.items() if test(event))
-    return lambda path, places: {i + 1 for i in places if path[i : i + 1] in letters}
-
-
-def sequence(parts: list[Pattern]) -> Pattern:
-    def ends(path: str, places: set[int]) -> set[int]:
-        for part in parts:
-            places = part(path, places)
-        return places
-
-    return ends
-
-
-def either(choices: list[Pattern]) -> Pattern:
-    return lambda path, places: set().union(*(choice(path, places) for choice in choices))
-
-
-def repeated(part: Pattern, least: int, most: float) -> Pattern:
-    def ends(path: str, places: set[int]) -> set[int]:
-        count = 0
-        while count < least and places != (places := part(path, places)):
-            count += 1
-        found, count = places, least
-        while places and count < most:
-            places = part(path, places) - found
-            found, count = found | places, count + 1
-        return found
-
-    return ends
 
 
 @dataclass
@@ -209,7 +176,8 @@ class Reader:
             if not self.taken(")"):
                 raise NotRead(self.text)
         else:
-            part = one(self.event())
+            test = self.event()
+            part = one(letter for letter, event in EVENTS.items() if test(event))
         count = COUNT.match(self.text, self.at)
         if not count:
             return part
