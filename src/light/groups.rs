@@ -37,7 +37,7 @@ impl Lights {
         let mask = |path: &str| {
             let shows = |label: &str| match groups.contains(&label) || label == DEFAULT_GROUP {
                 true => group_of(&lights[path]) == label,
-                false => path == label || path.rsplit('/').next() == Some(label),
+                false => prim_of(path) == label || name_of(path) == label,
             };
             labels.iter().enumerate().filter(|(_, label)| shows(label)).fold(0, |mask, (i, _)| mask | 1 << i)
         };
@@ -76,4 +76,15 @@ impl Lights {
 
 fn group_of(light: &flat::Light) -> &str {
     if light.group.is_empty() { DEFAULT_GROUP } else { &light.group }
+}
+
+/// Path of the prim that is a light: a mesh that is one is two things.
+fn prim_of(path: &str) -> &str {
+    path.strip_suffix(".light").unwrap_or(path)
+}
+
+/// Name of that prim, which all its placements have.
+fn name_of(path: &str) -> &str {
+    let placed = path.rsplit('/').next().unwrap_or(path);
+    prim_of(placed.split_once('[').map_or(placed, |(name, _)| name))
 }

@@ -144,6 +144,44 @@ def test_labels_of_other_renderers(flat):
         assert found["group"] == label
 
 
+FIXTURE = """
+    class Xform "Fixture"
+    {
+        def Mesh "Panel" (
+            prepend apiSchemas = ["MeshLightAPI"]
+        )
+        {
+            int[] faceVertexCounts = [4]
+            int[] faceVertexIndices = [0, 1, 2, 3]
+            point3f[] points = [(-1, 0, 3), (1, 0, 3), (1, 1, 3), (-1, 1, 3)]
+            uniform token orientation = "leftHanded"
+            uniform token subdivisionScheme = "none"
+            float inputs:intensity = 5
+        }
+    }
+"""
+HUNG = """
+    def "%s" (
+        instanceable = true
+        references = </World/Fixture>
+    )
+    {
+    }
+"""
+
+
+@pytest.mark.parametrize("places", [("A",), ("A", "B")])
+def test_meshes_and_instances_are_lights_by_their_names(places):
+    """All placements of a light have the name of its prim; only a single one has its path."""
+    prims = (KEYS, FIXTURE, *(HUNG % place for place in places))
+    path = "light_/World/A/Panel"
+    image = rendered(*prims, aovs=["light_Panel", "light_key", path])
+    np.testing.assert_allclose(image["light_Panel"] + image["light_key"], image.color[..., :3], rtol=1e-4)
+    assert image["light_Panel"].max() > 0.0
+    black = [w["message"] for w in image.stats["warnings"] if "is black" in w["message"]]
+    assert (len(black), image[path].max() > 0.0) == ((0, True) if len(places) == 1 else (1, False))
+
+
 def test_a_label_that_no_light_has_is_said():
     image = rendered(KEYS, aovs=["light_nobody", "light_key"], samples=1)
     assert image["light_nobody"].max() == 0.0 and image["light_key"].max() > 0.0
