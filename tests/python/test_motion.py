@@ -288,6 +288,36 @@ def test_instancers_go_by_their_velocities() -> None:
         np.testing.assert_allclose(found, np.array(matrices), atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("places", "speeds", "moves"),
+    [
+        (".timeSamples = {1: %s}", ".timeSamples = {1: %s}", True),
+        (" = %s", " = %s", False),
+        (".timeSamples = {0.75: %s}", ".timeSamples = {1: %s}", False),
+        (" = %s", ".timeSamples = {1: %s}", False),
+        (".timeSamples = {1: %s}", " = []", False),
+    ],
+)
+def test_velocities_that_have_no_effect_are_said(places: str, speeds: str, moves: bool) -> None:
+    fast = "[(24, 0, 0), (24, 0, 0), (24, 0, 0), (24, 0, 0)]"
+    velocities = "    vector3f[] velocities" + (speeds.replace("%s", fast))
+    still = square(velocities, points=places % CORNERS)
+    many = f"""
+def PointInstancer "Many"
+{{
+    rel prototypes = </Many/Square>
+    int[] protoIndices = [0, 0, 0, 0]
+    point3f[] positions{places % CORNERS}
+{velocities}
+{square()}
+}}
+"""
+    found = flat(camera() + still + many)
+    said = [prim for prim, message in found.warnings if "nothing moves by them" in message]
+    assert sorted(said) == ([] if moves or "[]" in speeds else ["/Many", "/Square"])
+    assert bool(moving_prims(found)) == moves
+
+
 def test_the_picture_of_an_instancer() -> None:
     def covered(t: float, x: NDArray, y: NDArray) -> NDArray:
         s = t - 0.5

@@ -106,8 +106,11 @@ class Scene:
 def add_motion(prims: dict[str, Prim], scene: Scene, shutter: Shutter) -> None:
     """Adds `transformKeys` and `pointKeys` to the prims that move."""
     for frame, of_frame in scene.placements.items():
+        if frame.instancer and len(of_frame):
+            warn_unaligned(frame.instancer, "positions", scene.reader)
         for found in frame.found if len(of_frame) else ():
             warn_unsampled(found.prim, found.kind, scene.reader, shutter)
+            warn_unaligned(found.prim, "points", scene.reader)
     scales = {scale for scale, _ in owners(scene, scene.placements).values()}
     for scale in sorted(scales):
         if scale > 0.0:
@@ -123,6 +126,19 @@ def warn_unsampled(prim: Usd.Prim, kind: str, reader: Reader, shutter: Shutter) 
     if varying:
         changed = ", ".join(a.GetName() for a in varying)
         reader.warn(prim, f"{changed}: not sampled while the shutter is open; the value of the frame is used")
+
+
+def warn_unaligned(prim: Usd.Prim, name: str, reader: Reader) -> None:
+    """Says where there are velocities and USD's rules do not move by them: both need samples, at one time."""
+    velocities, places = prim.GetAttribute("velocities"), prim.GetAttribute(name)
+    # An empty array is how layers take velocities away.
+    if not (velocities and velocities.HasAuthoredValue() and len(velocities.Get(reader.time) or ())):
+        return
+    first, second = (a.GetBracketingTimeSamples(reader.time.GetValue())[:1] for a in (velocities, places))
+    if not first or first != second:
+        reader.warn(
+            prim, f"velocities: no time sample at one of {name}, as USD's rules want; nothing moves by them"
+        )
 
 
 def unsampled(prim: Usd.Prim, kind: str) -> list[str]:

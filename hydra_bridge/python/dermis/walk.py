@@ -57,12 +57,14 @@ class Context:
 
 @dataclass(eq=False)
 class Frame:
-    """A subtree placed as a whole. `base` replaces the first `root` characters of prim paths to make keys."""
+    """A subtree placed as a whole. `base` replaces the first `root` characters of prim paths to make keys;
+    `instancer`: the point instancer that places it, the first of several."""
 
     base: str
     root: int
     predicate: Any
     in_point_instancer: bool = False
+    instancer: Usd.Prim | None = None
     found: list["Found"] = field(default_factory=list)
     native: dict["Frame", list[Gf.Matrix4d]] = field(default_factory=dict)
     points: list[tuple["Frame", Placements]] = field(default_factory=list)
@@ -236,7 +238,7 @@ class Walk:
         child = self.frames.get(signature)
         if child is None:
             base = f"{frame.key(prim)}.prototypes[{i}]"
-            child = Frame(base, len(str(prototype.GetPath())), PROTOTYPES, in_point_instancer=True)
+            child = Frame(base, len(str(prototype.GetPath())), PROTOTYPES, True, prim)
             self.frames[signature] = child
             above = ancestry(prototype, self.reader)
             inherited = replace(above, visible=True, purpose=context.purpose, placer=placer)
