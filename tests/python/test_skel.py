@@ -171,6 +171,54 @@ def test_a_rigid_mesh_moves_with_its_joint():
         np.testing.assert_allclose(normals, expected_normals, atol=2e-4)
 
 
+def bound(stage: Usd.Stage, kind: str) -> Usd.Prim:
+    """A prim other than a mesh on the bones of the character: a line of points, or one that stays as it is."""
+    prim = stage.DefinePrim("/World/Hero/Other", kind)
+    binding = UsdSkel.BindingAPI.Apply(prim)
+    binding.CreateSkeletonRel().SetTargets([Sdf.Path("/World/Hero/Skel")])
+    UsdGeom.Xformable(prim).AddTranslateOp().Set((0.3, 0.0, 0.2))
+    if not prim.IsA(UsdGeom.PointBased):
+        binding.SetRigidJointInfluence(1)
+        return prim
+    share = np.linspace(0, 1, 9)
+    UsdGeom.PointBased(prim).CreatePointsAttr([(0.0, float(y), 0.0) for y in range(9)])
+    binding.CreateJointIndicesPrimvar(False, 2).Set([0, 1] * 9)
+    binding.CreateJointWeightsPrimvar(False, 2).Set(np.stack([1 - share, share], 1).ravel().tolist())
+    (UsdGeom.Curves if kind == "BasisCurves" else UsdGeom.Points)(prim).CreateWidthsAttr([0.1] * 9)
+    if kind == "BasisCurves":
+        UsdGeom.BasisCurves(prim).CreateTypeAttr("linear")
+        UsdGeom.Curves(prim).CreateCurveVertexCountsAttr([9])
+    return prim
+
+
+@pytest.mark.parametrize("kind", ["BasisCurves", "Points", "Sphere", "Cube"])
+def test_curves_points_and_implicit_prims_hang_on_bones_too(kind):
+    stage = new_stage()
+    character(stage)
+    bound(stage, kind)
+    path = "/World/Hero/Other"
+    if kind == "Points":
+        places = [flatten(s, 10.0).prims[f"{path}.points"]["transforms"] for s in (stage, baked(stage))]
+    else:
+        places = [placed(s, 10.0, path)[0] for s in (stage, baked(stage))]
+    np.testing.assert_allclose(*places, atol=2e-5)
+    stage.RemovePrim("/World/Hero/Anim")
+    rest = flatten(stage, 10.0).prims
+    still = rest[f"{path}.points"]["transforms"] if kind == "Points" else placed(stage, 10.0, path)[0]
+    assert np.abs(still - places[0]).max() > 0.5
+
+
+def test_what_of_curves_stays_at_rest_is_said():
+    stage = new_stage()
+    character(stage)
+    curves = UsdGeom.BasisCurves(bound(stage, "BasisCurves"))
+    curves.CreateNormalsAttr([(0.0, 0.0, 1.0)] * 9)
+    [(path, message)] = flatten(stage, 10.0).warnings
+    assert path == "/World/Hero/Other" and message.startswith(
+        "normals: skeletons and blend shapes move points"
+    )
+
+
 def test_instances_that_share_a_skeleton_have_their_own_animations():
     stage = new_stage()
     character(stage, "/Asset")

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pxr import Usd, UsdGeom
 
 from .reading import Reader
+from .skel import Skins
 from .spline import Floats, Samples, Spline, frames, unit
 
 SIDES = ((20_000, 24), (200_000, 12))
@@ -62,9 +63,9 @@ class Tessellation:
         return {"interpolation": "vertex", "values": single(values), "indices": self.point_sample}
 
 
-def tessellate_curves(prim: Usd.Prim, reader: Reader) -> Tessellation | None:
+def tessellate_curves(prim: Usd.Prim, reader: Reader, skins: Skins) -> Tessellation | None:
     """None where there is nothing to render, which was said."""
-    spline = read_spline(prim, reader)
+    spline = read_spline(prim, reader, skins)
     if spline is None:
         return None
     widths = read_attribute(prim, "widths", 1, spline, reader)
@@ -86,7 +87,7 @@ def tessellate_curves(prim: Usd.Prim, reader: Reader) -> Tessellation | None:
     return made
 
 
-def read_spline(prim: Usd.Prim, reader: Reader) -> Spline | None:
+def read_spline(prim: Usd.Prim, reader: Reader, skins: Skins) -> Spline | None:
     points = reader.moving(prim, "points", np.float32, 3)
     counts = reader.array(prim, "curveVertexCounts", np.int32, 1)
     for name, array in (("points", points), ("curveVertexCounts", counts)):
@@ -100,6 +101,9 @@ def read_spline(prim: Usd.Prim, reader: Reader) -> Spline | None:
     if not np.isfinite(points).all():
         reader.warn(prim, "points: not finite; the curves are not rendered")
         return None
+    rest, points = points, skins.moved(prim, points)
+    if points is not rest:
+        warn_at_rest(prim, reader)
     if is_hermite(prim):
         return read_hermite(prim, points, counts, reader)
     basis = token(prim, "basis", ("bezier", "bspline", "catmullRom"), reader)
@@ -112,6 +116,13 @@ def read_spline(prim: Usd.Prim, reader: Reader) -> Spline | None:
         )
         reader.warn(prim, message + "curves cannot have; they are not rendered")
     return spline if len(spline.curve) else None
+
+
+def warn_at_rest(prim: Usd.Prim, reader: Reader) -> None:
+    """What skins do not turn."""
+    names = {"normals", "primvars:normals"} | ({"tangents"} if is_hermite(prim) else set())
+    for name in sorted(names.intersection(prim.GetAuthoredPropertyNames())):
+        reader.warn(prim, f"{name}: skeletons and blend shapes move points alone; they are those at rest")
 
 
 def is_hermite(prim: Usd.Prim) -> bool:

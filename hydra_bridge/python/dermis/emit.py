@@ -140,7 +140,7 @@ class Emitter:
 
     def points(self, found: Found, placements: Placements) -> None:
         """A sphere, and an instancer of its own that places it for every point in every placement of the prim."""
-        spheres = flatten_points(found.prim, self.reader, found.context.inherited())
+        spheres = flatten_points(found.prim, self.reader, found.context.inherited(), self.skins)
         if spheres is None:
             return
         key = f"{found.key}.points"
@@ -248,8 +248,10 @@ class Emitter:
         if still and asked in still.primvars:
             return still.primvars[asked]
         said = len(self.reader.report.warnings)
-        inherited = found.context.inherited()
-        primvars = flatten_read_primvars(found.prim, found.kind, mesh, names, hair, self.reader, inherited)
+        above = found.context.inherited()
+        primvars = flatten_read_primvars(
+            found.prim, found.kind, mesh, names, hair, self.reader, above, self.skins
+        )
         if still and len(self.reader.report.warnings) == said:
             still.primvars[asked] = primvars
         return primvars

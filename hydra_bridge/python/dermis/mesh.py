@@ -59,7 +59,7 @@ def flatten_mesh(
     """Fields of `flat::Mesh` except transform, visibility and material; None where there is nothing to
     render."""
     if kind in CURVES:
-        surface = curves(prim, reader, inherited)
+        surface = curves(prim, reader, inherited, skins)
         return surface and {**surface, **of_medium(prim, inherited, reader)}
     if kind == "Mesh":
         mesh = polygons(prim, reader)
@@ -69,6 +69,7 @@ def flatten_mesh(
             mesh |= {} if level is None else {"refineLevel": level}
     elif (surface := tessellate(prim, kind, reader)) is not None:
         mesh = {"orientation": "rightHanded", "subdivisionScheme": "none", **surface}
+        skins.deform(prim, mesh)
     else:
         mesh = None
     if mesh is None:
@@ -78,8 +79,8 @@ def flatten_mesh(
     return mesh | of_medium(prim, inherited, reader)
 
 
-def curves(prim: Usd.Prim, reader: Reader, inherited: Inherited) -> dict[str, Any] | None:
-    made = tessellate_curves(prim, reader)
+def curves(prim: Usd.Prim, reader: Reader, inherited: Inherited, skins: Skins) -> dict[str, Any] | None:
+    made = tessellate_curves(prim, reader, skins)
     if made is None:
         return None
     api = UsdGeom.PrimvarsAPI(prim)
@@ -209,11 +210,12 @@ def flatten_read_primvars(
     hair: bool,
     reader: Reader,
     inherited: Inherited,
+    skins: Skins,
 ) -> dict[str, Any]:
     """`flat::Mesh::primvars` of those among `names` that the prim has; `names`: to what reads it, if a missing one is
     to be said. `hair`: a material is one, which asks curves for more."""
     api, found = UsdGeom.PrimvarsAPI(prim), {}
-    made = tessellate_curves(prim, reader) if kind in CURVES else None
+    made = tessellate_curves(prim, reader, skins) if kind in CURVES else None
     for name, user in names.items():
         primvar = api.GetPrimvar(name)
         if not (primvar and primvar.HasAuthoredValue()):

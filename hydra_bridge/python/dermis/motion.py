@@ -292,7 +292,7 @@ class Sampling:
             }
 
     def deformation(self, found: Found, shares: NDArray) -> None:
-        if found.kind != "Points" and not may_deform(found.prim):
+        if found.kind != "Points" and not may_deform(found):
             return
         if found.kind == "Points":
             self.spheres(found, shares)
@@ -325,7 +325,7 @@ class Sampling:
         key = f"{found.key}.points"
         sampled = []
         for share, at in zip(shares, self.skins, strict=True):
-            there = flatten_points(found.prim, at.reader, found.context.inherited())
+            there = flatten_points(found.prim, at.reader, found.context.inherited(), at)
             placed = self.matrices(share).get(f"{found.key}.placed", np.zeros((0, 4, 4)))
             sampled.append(nested(there.matrices, placed) if there and len(placed) else np.zeros((0, 4, 4)))
         if any(len(m) != len(self.prims[key]["transforms"]) for m in sampled):
@@ -347,10 +347,11 @@ def mesh_keys(found: Found, prims: dict[str, Prim]) -> list[str]:
     return [key for key in prims if key.startswith(f"{found.key}[") and key.endswith(".mesh")]
 
 
-def may_deform(prim: Usd.Prim) -> bool:
+def may_deform(found: Found) -> bool:
     """Whether its points may move: they have samples or velocities, or joints or shapes move them."""
-    names = prim.GetAuthoredPropertyNames()
-    if is_skinned(prim) or "velocities" in names:
+    prim, names = found.prim, found.prim.GetAuthoredPropertyNames()
+    # Joints may be those of a prim above.
+    if found.context.skel or is_skinned(prim) or "velocities" in names:
         return True
     return any(name in MOVING and prim.GetAttribute(name).ValueMightBeTimeVarying() for name in names)
 

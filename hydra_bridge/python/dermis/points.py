@@ -11,6 +11,7 @@ from pxr import Usd, UsdGeom
 from .implicit import sphere
 from .instancer import Matrices
 from .reading import Reader
+from .skel import Skins
 
 
 @dataclass
@@ -24,13 +25,14 @@ class Spheres:
 
 
 def flatten_points(
-    prim: Usd.Prim, reader: Reader, inherited: Mapping[str, UsdGeom.Primvar]
+    prim: Usd.Prim, reader: Reader, inherited: Mapping[str, UsdGeom.Primvar], skins: Skins
 ) -> Spheres | None:
     """None where there is nothing to render, which was said."""
     points = reader.moving(prim, "points", np.float32, 3)
     if points is None or not len(points):
         reader.warn(prim, "points: empty; they are not rendered")
         return None
+    points = skins.moved(prim, points)
     widths = per_point(prim, "widths", *authored_widths(prim, reader), len(points), reader)
     if widths is None:
         reader.warn(prim, "widths: none that can be used; 1 is")

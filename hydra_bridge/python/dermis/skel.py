@@ -52,6 +52,12 @@ class Skins:
         #: Skinning transforms by SkelRoot and skeleton.
         self.joints: dict[tuple[str, str], Vt.Matrix4dArray | None] = {}
 
+    def moved(self, prim: Usd.Prim, points: NDArray) -> NDArray:
+        """Points of a prim that is not made of faces."""
+        held: Mesh = {"points": points}
+        self.deform(prim, held)
+        return held["points"]
+
     def deform(self, prim: Usd.Prim, mesh: Mesh) -> None:
         """Moves `points` and `normals` of a flat mesh; outside a SkelRoot nothing moves (UsdSkel)."""
         root = skel_root(prim)
