@@ -11,6 +11,7 @@ from command_line import CAMERA, CARD, DOME, channels, names, read_exr, run, sta
 
 from dermis.products import flatten_products, source_aov
 from dermis.reading import Reader, Report
+from dermis.settings import included_purposes
 
 METADATA = 'renderSettingsPrimPath = "/Render/S"'
 
@@ -289,6 +290,26 @@ def test_layers_say_what_they_hold_of_fog(boundary, stage, tmp_path, capsys):
     assert "/Render/sss: sourceName: 'C<TD>.*[LO]'" in sss and "to the camera is in the layer" in sss
     assert "seen not in it" in sss
     assert "/Render/late" in late and "camera is not in the layer" in late and "seen in it" in late
+
+
+def test_targets_that_are_not_there_are_said(make_stage):
+    stage = make_stage(
+        'def RenderSettings "S"\n{\nrel products = [</P>, </Gone>, </v>]\n'
+        'uniform token[] includedPurposes = ["render", "renders"]\n}\n'
+        + var("v", "N")
+        + product("P", "a.exr", "v w").replace("/Render/", "/")
+    )
+    report = Report()
+    reader = Reader(0.0, report)
+    [made] = flatten_products(stage.GetPrimAtPath("/S"), reader)
+    assert [layer["aov"] for layer in made.layers] == ["normal"]
+    included_purposes(stage.GetPrimAtPath("/S"), reader)
+    assert report.warnings == [
+        ("/S", "products: /Gone is not there; it is left out"),
+        ("/S", "products: /v is no RenderProduct; it is left out"),
+        ("/P", "orderedVars: /w is not there; it is left out"),
+        ("/S", "includedPurposes: 'renders' is no purpose; ignored"),
+    ]
 
 
 def test_deep_products_are_dropped_with_a_warning(make_stage):

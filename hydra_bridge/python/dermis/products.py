@@ -55,8 +55,8 @@ class Product:
     layers: list[dict[str, Any]] | None = None
 
 
-def related_products(settings: Usd.Prim) -> list[Usd.Prim]:
-    return [prim for prim in related(settings, "products") if prim.IsA("RenderProduct")]
+def related_products(settings: Usd.Prim, reader: Reader) -> list[Usd.Prim]:
+    return related(settings, "products", "RenderProduct", reader)
 
 
 def flatten_products(settings: Usd.Prim, reader: Reader) -> list[Product]:
@@ -64,7 +64,7 @@ def flatten_products(settings: Usd.Prim, reader: Reader) -> list[Product]:
     from .settings import base_settings
 
     products = []
-    for prim in related_products(settings):
+    for prim in related_products(settings, reader):
         kind = reader.value(prim, "productType", "raster")
         if kind != "raster":
             reader.warn(prim, f"productType: '{kind}' is not supported; the product is not made")
@@ -81,9 +81,9 @@ def flatten_products(settings: Usd.Prim, reader: Reader) -> list[Product]:
 def expressions(settings: Usd.Prim, reader: Reader) -> dict[Usd.Prim, str]:
     """RenderVars of light path expressions that are layers of the render, with their expressions."""
     found = {}
-    for product in related_products(settings):
+    for product in related_products(settings, reader):
         raster = reader.value(product, "productType", "raster") == "raster"
-        for var in related(product, "orderedVars") if raster else ():
+        for var in related(product, "orderedVars", "RenderVar", reader) if raster else ():
             text = str(reader.raw(var, "sourceName") or "").removeprefix("lpe:")
             if text not in RAW_SOURCES and lpe.cells_of(text):
                 found[var] = text
@@ -126,7 +126,7 @@ def warn_fog(settings: Usd.Prim, reader: Reader) -> None:
 def product_layers(product: Usd.Prim, reader: Reader) -> list[dict[str, Any]]:
     """A layer per RenderVar that has a source here; the first beauty takes the place without a prefix."""
     layers: list[dict[str, Any]] = []
-    for var in related(product, "orderedVars"):
+    for var in related(product, "orderedVars", "RenderVar", reader):
         aov = source_aov(var, reader)
         if aov is None:
             continue
@@ -219,8 +219,15 @@ def named_lpe(text: str) -> str | None:
     return lpe.sum_of(cells) if cells else None
 
 
-def related(prim: Usd.Prim, name: str) -> list[Usd.Prim]:
+def related(prim: Usd.Prim, name: str, kind: str, reader: Reader) -> list[Usd.Prim]:
+    """Targets of schema type `kind`; the others are said."""
     relationship = prim.GetRelationship(name)
     paths = relationship.GetForwardedTargets() if relationship else []
-    prims = [prim.GetStage().GetPrimAtPath(path) for path in paths]
-    return [p for p in prims if p]
+    prims = []
+    for path in paths:
+        target = prim.GetStage().GetPrimAtPath(path)
+        if target and target.IsA(kind):
+            prims.append(target)
+        else:
+            reader.warn(prim, f"{name}: {path} is {'no ' + kind if target else 'not there'}; it is left out")
+    return prims

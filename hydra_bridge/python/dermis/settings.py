@@ -59,7 +59,7 @@ def find_settings(stage: Usd.Stage, path: str, reader: Reader) -> Usd.Prim | Non
 
 def flatten_settings(prim: Usd.Prim, reader: Reader) -> dict[str, Any]:
     """Authored settings; those of the first product override (UsdRenderSettingsBase)."""
-    products = related_products(prim)
+    products = related_products(prim, reader)
     settings: dict[str, Any] = {}
     for source in (prim, *products[:1]):
         settings.update(base_settings(source, reader))
@@ -140,6 +140,8 @@ def dermis_settings(prim: Usd.Prim, reader: Reader) -> dict[str, Any]:
 def included_purposes(prim: Usd.Prim | None, reader: Reader) -> tuple[str, ...]:
     """`includedPurposes` of the settings; default and render without."""
     purposes = reader.tokens(prim, "includedPurposes") if prim else None
+    for purpose in sorted({*(purposes or ())} - {"default", "render", "proxy", "guide"}):
+        reader.warn(prim, f"includedPurposes: '{purpose}' is no purpose; ignored")
     return ("default", "render") if purposes is None else tuple(purposes)
 
 
