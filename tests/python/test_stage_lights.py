@@ -133,6 +133,25 @@ def test_factors_of_lobes(flat):
     assert found.prims["/L"]["diffuse"] == 0.5 and "specular" not in found.prims["/L"] and not found.warnings
 
 
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (light("Xform", "", '"LightAPI"'), "LightAPI: a Xform does not shine; the API is for meshes"),
+        (
+            light("Points", "point3f[] points = [(0, 0, 0)]\nfloat[] widths = [1]", '"MeshLightAPI"'),
+            "LightAPI: a Points",
+        ),
+        (light("Volume", "", '"VolumeLightAPI"'), "Volume is not rendered yet"),
+        (light("PxrAovLight"), "'PxrAovLight', a type that USD does not know, is not rendered yet"),
+        (light("Scope"), ""),
+        (light(""), ""),
+    ],
+)
+def test_what_cannot_shine_is_said(flat, text, said):
+    messages = [message for _, message in flat(text).warnings]
+    assert any(message.startswith(said) for message in messages) if said else messages == []
+
+
 def test_defaults_of_unsupported_attributes_say_nothing(flat):
     body = (
         "    bool inputs:shadow:enable = 1\n    float inputs:diffuse = 1\n"

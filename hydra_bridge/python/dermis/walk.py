@@ -187,6 +187,12 @@ class Walk:
             self.reader.warn(prim, f"{kind} is not supported yet; ignored")
         elif kind in UNSUPPORTED_PRIMS and context.purpose in self.purposes and context.visible:
             self.unsupported.setdefault(kind, []).append(str(prim.GetPath()))
+        elif not kind and prim.GetTypeName():
+            unknown = f"'{prim.GetTypeName()}', a type that USD does not know,"
+            self.unsupported.setdefault(unknown, []).append(str(prim.GetPath()))
+        if kind not in (*MESH_TYPES, *LIGHT_TYPES, *UNSUPPORTED_LIGHTS) and prim.HasAPI("LightAPI"):
+            what = kind or "prim without a type"
+            self.reader.warn(prim, f"LightAPI: a {what} does not shine; the API is for meshes")
 
     def native_instance(self, prim: Usd.Prim, frame: Frame, context: Context, matrix: Gf.Matrix4d) -> None:
         if not context.visible:
