@@ -246,3 +246,31 @@ def test_geometry_subsets(flat):
     (skin,) = result.prims["/X"]["geomSubsets"]
     assert (skin["path"], skin["material"], skin["indices"].tolist()) == ("/X/Skin", "/M", [1])
     assert result.prims["/X"]["material"] == ""
+
+
+@pytest.mark.parametrize(
+    ("kind", "lines", "said"),
+    [
+        ("Mesh", ("[0]", "face", "[1]", "face"), ()),
+        ("Mesh", ("[0, 1]", "face", "[1]", "face"), (("/X", "subsets of family materialBind overlap"),)),
+        ("Mesh", ("[0]", "face", "[1]", "point"), (("/X/B", "elementType: 'point', of a Mesh"),)),
+        (
+            "Sphere",
+            ("[0]", "face", "[]", "face"),
+            (("/X/A", "elementType: 'face', of a Sphere"), ("/X/B", "")),
+        ),
+    ],
+)
+def test_subsets_that_do_not_count_are_said(flat, kind, lines, said):
+    subset = (
+        '    def GeomSubset "%s"\n    {\n        uniform token familyName = "materialBind"\n'
+        '        int[] indices = %s\n        uniform token elementType = "%s"\n    }\n'
+    )
+    body = (
+        "    int[] faceVertexCounts = [3, 3]\n    int[] faceVertexIndices = [0, 1, 2, 2, 1, 3]\n"
+        "    point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0)]\n"
+    )
+    subsets = subset % ("A", *lines[:2]) + subset % ("B", *lines[2:])
+    result = flat(f'def {kind} "X"\n{{\n{body if kind == "Mesh" else ""}{subsets}}}\n')
+    for (path, message), (prim, words) in zip(result.warnings, said, strict=True):
+        assert path == prim and message.startswith(words)

@@ -120,7 +120,7 @@ class Emitter:
         self.categorize(found, mesh)
         self.bindables.append((found.prim, mesh))
         self.meshes.append((found, mesh))
-        subsets = flatten_subsets(found.prim, self.reader) if found.kind == "Mesh" else []
+        subsets = flatten_subsets(found.prim, found.kind, self.reader)
         self.bindables.extend(subsets)
         mesh["geomSubsets"] = [subset for _, subset in subsets]
         return mesh

@@ -326,12 +326,22 @@ def checked(
     return None
 
 
-def flatten_subsets(prim: Usd.Prim, reader: Reader) -> list[tuple[Usd.Prim, dict[str, Any]]]:
+def flatten_subsets(prim: Usd.Prim, kind: str, reader: Reader) -> list[tuple[Usd.Prim, dict[str, Any]]]:
     """Geometry subsets of family materialBind, with the prim whose binding counts."""
     subsets = []
-    for subset in UsdGeom.Subset.GetGeomSubsets(UsdGeom.Imageable(prim), UsdGeom.Tokens.face, "materialBind"):
+    for subset in UsdGeom.Subset.GetGeomSubsets(UsdGeom.Imageable(prim), "", "materialBind"):
+        element = reader.value(subset.GetPrim(), "elementType", "face")
+        if kind != "Mesh" or element != "face":
+            what = f"elementType: '{element}', of a {kind}: only faces of meshes have materials of their own"
+            reader.warn(subset.GetPrim(), f"{what}; ignored")
+            continue
         indices = reader.array(subset.GetPrim(), "indices", np.int32, 1)
         if indices is not None and len(indices):
             fields = {"path": str(subset.GetPath()), "indices": indices, "material": ""}
             subsets.append((subset.GetPrim(), fields))
+    several = sum(len(np.unique(fields["indices"])) for _, fields in subsets)
+    if len(subsets) > 1 and several > len(np.unique(np.concatenate([f["indices"] for _, f in subsets]))):
+        reader.warn(
+            prim, "subsets of family materialBind overlap: faces in several have the material of the last"
+        )
     return subsets
