@@ -228,6 +228,21 @@ def test_products_rendered_apart_are_skipped_apart(stage, tmp_path, capsys):
     assert json.loads((tmp_path / "s.json").read_text())["settings"]["resolution"] == [16, 8]
 
 
+def test_tiles_of_products_have_files_of_their_own(stage, tmp_path):
+    """OUTPUT is typed for each tile; a productName is not."""
+    file = stage(product("A", f"{tmp_path}/a.exr", "beauty"), product("B", f"{tmp_path}/b.exr", "Z beauty"))
+    assert run("record", file) == 0
+    tiles = ("--tileCount", "2", "1", "--tileIndex")
+    for index in (0, 1):
+        assert run("record", file, tmp_path / f"out{index}.exr", "--skipExisting", *tiles, index) == 0
+    found = {"out0.exr", "out1.exr", "b_tile00.exr", "b_tile01.exr"}
+    assert {name for name in names(tmp_path) if name.endswith(".exr")} == found | {"a.exr", "b.exr"}
+    parts = [tmp_path / f"b_tile0{index}.exr" for index in (0, 1)]
+    assert run("merge", *parts, "--output", tmp_path / "whole.exr") == 0
+    whole, single = channels(tmp_path / "whole.exr"), channels(tmp_path / "b.exr")
+    assert all(np.array_equal(whole[name], single[name]) for name in single)
+
+
 def layered(make_stage, **expressions):
     """What is said of RenderVars with these expressions in one product."""
     stage = make_stage(

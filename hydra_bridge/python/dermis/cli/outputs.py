@@ -45,14 +45,15 @@ def planned(
     has_frames: bool = False,
     when: Usd.TimeCode | None = None,
     typed_aovs: bool = False,
+    tile: int | None = None,
 ) -> list[Output]:
-    """The files of a frame; `file` (OUTPUT) takes the place of the first product.
+    """The files of a frame; `file` (OUTPUT) takes the place of the first product. Each `tile` of a product has a file.
 
     Raises OutputError where a product names no image file, or one file is named twice.
     """
     outputs = []
     for number, product in enumerate(products):
-        name = file if number == 0 and file else product_file(product, has_frames, when)
+        name = file if number == 0 and file else product_file(product, has_frames, when, tile)
         layers = None if typed_aovs else product.layers
         outputs.append(Output(name, layers, product.path, product.name, product.settings))
     if not products and file:
@@ -65,11 +66,13 @@ def planned(
     return outputs
 
 
-def product_file(product: Product, has_frames: bool, when: Usd.TimeCode | None) -> str:
+def product_file(product: Product, has_frames: bool, when: Usd.TimeCode | None, tile: int | None) -> str:
     if Path(product.name).suffix.lower() not in IMAGE_EXTENSIONS:
         kinds = ", ".join(IMAGE_EXTENSIONS)
         raise OutputError(f"{product.path}: productName: {product.name!r} must end in one of {kinds}")
-    return frame_path(product.name, when.GetValue()) if has_frames and when is not None else product.name
+    name = frame_path(product.name, when.GetValue()) if has_frames and when is not None else product.name
+    # As husk names them: tiles must not replace each other.
+    return name if tile is None else str(Path(name).with_stem(f"{Path(name).stem}_tile{tile:02}"))
 
 
 def grouped(outputs: Sequence[Output]) -> list[list[Output]]:

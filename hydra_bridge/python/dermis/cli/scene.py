@@ -143,7 +143,8 @@ class Stage:
         """
         prim = self._settings_prim()
         found = products.flatten_products(prim, Reader(when, Report())) if prim else []
-        return planned(file, found, bool(self.args.frames), when, typed_aovs="aovs" in self.typed)
+        tile = getattr(self.args, "tileIndex", None)
+        return planned(file, found, bool(self.args.frames), when, "aovs" in self.typed, tile)
 
     def load(self, when: Usd.TimeCode, outputs: list[Output] | None = None, last: bool = False) -> Loaded:
         """`last`: no other follows, so that nothing is kept for it."""
