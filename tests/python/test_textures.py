@@ -756,6 +756,19 @@ def mtlx_image(file: Path, identifier: str, kind: str, *lines: str) -> str:
     )
 
 
+def test_layers_and_frames_of_images_are_not_chosen_and_said(tmp_path):
+    from dermis.stage import flatten
+
+    file = write(tmp_path / "a.png", RNG.random((2, 3, 3)))
+    words = ('string inputs:layer = "diffuse"', 'string inputs:framerange = ""')
+    nodes = mtlx_image(file, "ND_image_color3", "color3f", *words)
+    st = primvar("st", "float2", [(0, 0)] * 4, "vertex")
+    flat = flatten(stage_of(glowing(nodes, "T.outputs:out") + quads(1, st)))
+    assert [message for _, message in flat.warnings] == [
+        "inputs:layer: 'diffuse' is ignored; the file as it is, is read"
+    ]
+
+
 def test_materialx_images(tmp_path):
     texels = RNG.random((2, 3, 3))
     file = write(tmp_path / "a.exr", texels, "float")
