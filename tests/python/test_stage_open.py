@@ -154,3 +154,17 @@ def test_materialx_files_say_what_reads_them(tmp_path):
     assert prim == "/Looks" and message.endswith("pip install usd-exchange MaterialX")
     with pytest.raises(StageError, match="pip install usd-exchange MaterialX"):
         open_stage(tmp_path / "red.mtlx")
+
+
+@pytest.mark.parametrize("mode", ["cards", "bounds", "origin", "default", "inherited"])
+def test_draw_modes_are_said(flat, mode):
+    text = f'def Xform "X"\n{{\n    uniform token model:drawMode = "{mode}"\n    def Sphere "S"\n    {{\n    }}\n}}\n'
+    found = flat(text)
+    assert found.prims["/X/S"]["visible"]
+    said = [f"model:drawMode: '{mode}' is not drawn; the model itself is rendered"]
+    assert [message for _, message in found.warnings] == ([] if mode in ("default", "inherited") else said)
+
+
+def test_procedurals_are_said(flat):
+    [(path, message)] = flat('def GenerativeProcedural "P"\n{\n}\n').warnings
+    assert path == "/P" and message.startswith("GenerativeProcedural is not rendered")

@@ -99,11 +99,15 @@ def find_surface(prim: Usd.Prim, reader: Reader) -> tuple[Usd.Prim, Shader] | No
                 )
             return node, known
         dropped.append(
-            f"{output.GetFullName()}: {f'shader {identifier!r}' if node else 'no shader is connected'}"
+            f"{output.GetFullName()}: {described(node, identifier) if node else 'no shader is connected'}"
         )
     what = "; ".join(dropped) or "no surface output"
     reader.warn(prim, f"{what}: no supported surface shader; displayColor is used")
     return None
+
+
+def described(node: Usd.Prim, identifier: str) -> str:
+    return f"shader {identifier!r}" if identifier else f"{node.GetPath()}, which has no info:id"
 
 
 def surface_outputs(material: UsdShade.Material) -> list[UsdShade.Output]:

@@ -21,6 +21,7 @@ from .reading import Reader
 from .skel import bones_outside
 
 UNSUPPORTED_PRIMS = (
+    "GenerativeProcedural",
     "NurbsCurves",
     "NurbsPatch",
     "ParticleField3DGaussianSplat",
@@ -277,7 +278,16 @@ def descend(prim: Usd.Prim, context: Context, reader: Reader) -> Context:
         changes["collections"] = context.collections or any("binding:collection" in name for name in names)
     if any(name.startswith("skel:") for name in names):
         changes["skel"] = skel_bindings(prim, context)
+    if "model:drawMode" in names:
+        warn_draw_mode(prim, reader)
     return replace(context, **changes) if changes else context
+
+
+def warn_draw_mode(prim: Usd.Prim, reader: Reader) -> None:
+    """Stand-ins for models are for viewports, but usdrecord draws them, too."""
+    mode = reader.value(prim, "model:drawMode", "inherited")
+    if mode not in ("inherited", "default"):
+        reader.warn(prim, f"model:drawMode: '{mode}' is not drawn; the model itself is rendered")
 
 
 def skel_bindings(prim: Usd.Prim, context: Context) -> tuple:
