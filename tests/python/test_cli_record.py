@@ -124,7 +124,14 @@ def test_stage_without_lights_is_lit_from_the_camera(stage, tmp_path, capsys):
     assert run("record", file, tmp_path / "b.exr", "--disableCameraLight", *SMALL) == 0
     said = capsys.readouterr().err
     assert "camera light is disabled" in said
-    assert "Warning: image: the image is all black" in said
+    assert f"Warning: {tmp_path}/b.exr: the image is all black" in said
+
+
+def test_every_frame_that_is_black_is_named(stage, tmp_path, capsys):
+    flags = ("--disableCameraLight", "--frames", "1:2", *SMALL)
+    assert run("record", stage(CARD, CAMERA), tmp_path / "a.#.exr", *flags) == 0
+    said = capsys.readouterr().err
+    assert all(f"{tmp_path}/a.{frame}.exr: the image is all black" in said for frame in (1, 2))
 
 
 def test_empty_stage_renders_black(stage, tmp_path, capsys):

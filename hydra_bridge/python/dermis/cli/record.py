@@ -180,7 +180,7 @@ class Recorder:
                 )
 
         complete = render(loaded.delegate, report, interrupt, keep, self.args, snapshot, self.say)
-        stats = self.finish(loaded, began, complete)
+        stats = self.finish(loaded, began, complete, view.outputs[0].file)
         attributes = exr_attributes(stats, when)
         for made in view.outputs:
             self.writer.write(loaded.delegate, made, made.file, attributes)
@@ -219,10 +219,10 @@ class Recorder:
         wanted = self.args.checkpoint or self.args.resume
         return f"{view.outputs[0].file}.checkpoint" if wanted and view.outputs else ""
 
-    def finish(self, loaded: Any, began: float, complete: bool) -> dict[str, Any]:
+    def finish(self, loaded: Any, began: float, complete: bool, file: str) -> dict[str, Any]:
         """The statistics of a frame, after the self-check of its image."""
         stats = json.loads(loaded.delegate.stats())
-        checks = warnings.self_check(loaded.delegate.snapshot()["color"], stats)
+        checks = warnings.self_check(loaded.delegate.snapshot()["color"], stats, file)
         merged = warnings.merge(loaded.warnings, warnings.of_stats(stats), checks)
         self.printer.print(merged)
         self.say(*_adaptive(stats))

@@ -38,19 +38,20 @@ def of_stats(stats: dict[str, Any]) -> list[Warning]:
     return [(entry["prim"], entry["message"]) for entry in stats.get("warnings", [])]
 
 
-def self_check(color: NDArray[np.floating], stats: dict[str, Any]) -> list[Warning]:
-    """What is suspicious about a finished image: exit code 0 with a wrong picture is the common failure."""
+def self_check(color: NDArray[np.floating], stats: dict[str, Any], name: str = "image") -> list[Warning]:
+    """What is suspicious about a finished image, a frame's file: exit code 0 with a wrong picture is the common
+    failure."""
     found: list[Warning] = []
     if bad := int(stats.get("non_finite_samples", 0)):
-        found.append(("image", f"{bad} samples were not finite and were left out"))
+        found.append((name, f"{bad} samples were not finite and were left out"))
     if not np.isfinite(color).all():
-        found.append(("image", "the image has pixels that are not finite"))
+        found.append((name, "the image has pixels that are not finite"))
     if not np.any(color[..., :3] > 0.0):
-        found.append(("image", "the image is all black"))
-    return found + walk_check(stats)
+        found.append((name, "the image is all black"))
+    return found + walk_check(stats, name)
 
 
-def walk_check(stats: dict[str, Any]) -> list[Warning]:
+def walk_check(stats: dict[str, Any], name: str = "image") -> list[Warning]:
     """Walks and paths that ended black in numbers that show: the picture is darker than it should be."""
     walks, paths = int(stats.get("walks", 0)), int(stats.get("rays", {}).get("path", 0))
     leaked, too_long = int(stats.get("walks_leaked", 0)), int(stats.get("walks_too_long", 0))
@@ -60,8 +61,8 @@ def walk_check(stats: dict[str, Any]) -> list[Warning]:
             f"{leaked} of {walks} subsurface walks leaked and ended black: "
             "a mesh with a medium is open or intersects itself, or the camera is inside of one"
         )
-        found.append(("image", message))
+        found.append((name, message))
     if too_long > ENDED_SHARE * walks or int(stats.get("paths_trapped", 0)) > ENDED_SHARE * paths:
         message = "walks_too_long or paths_trapped in the statistics: light was lost, the picture is too dark"
-        found.append(("image", message))
+        found.append((name, message))
     return found
