@@ -144,12 +144,23 @@ def test_factors_of_lobes(flat):
         (light("Volume", "", '"VolumeLightAPI"'), "Volume is not rendered yet"),
         (light("PxrAovLight"), "'PxrAovLight', a type that USD does not know, is not rendered yet"),
         (light("Scope"), ""),
+        (light("PortalLight"), ""),
         (light(""), ""),
     ],
 )
 def test_what_cannot_shine_is_said(flat, text, said):
     messages = [message for _, message in flat(text).warnings]
     assert any(message.startswith(said) for message in messages) if said else messages == []
+
+
+def test_inputs_that_are_driven_are_said(flat):
+    text = light("RectLight", "float inputs:exposure = 1\nfloat inputs:exposure.connect = </M.inputs:e>")
+    found = flat(text + 'def Material "M"\n{\n    float inputs:e = 2\n}\n')
+    assert found.prims["/L"]["exposure"] == 1.0
+    [(path, message)] = found.warnings
+    assert path == "/L" and message.startswith(
+        "inputs:exposure: driven by /M.inputs:e, which is not supported"
+    )
 
 
 def test_defaults_of_unsupported_attributes_say_nothing(flat):

@@ -199,6 +199,7 @@ def pole(prim: Usd.Prim, kind: str, reader: Reader) -> str:
 
 
 def warn_ignored(prim: Usd.Prim, reader: Reader) -> None:
+    warn_connected(prim, reader)
     """A warning with what of this light is not rendered."""
     if targets(prim, "light:filters"):
         reader.warn(prim, "light:filters: not supported yet; ignored")
@@ -211,3 +212,11 @@ def is_shadow(attribute: Usd.Attribute) -> bool:
 def targets(prim: Usd.Prim, name: str) -> bool:
     relationship = prim.GetRelationship(name)
     return bool(relationship and relationship.GetTargets())
+
+
+def warn_connected(prim: Usd.Prim, reader: Reader) -> None:
+    """Inputs of lights may be driven as those of shaders are (UsdLux); here they have the values of their own."""
+    for attribute in prim.GetAuthoredPropertiesInNamespace("inputs"):
+        if isinstance(attribute, Usd.Attribute) and (sources := attribute.GetConnections()):
+            message = f"driven by {sources[0]}, which is not supported; its own value is used"
+            reader.warn(prim, f"{attribute.GetName()}: {message}")

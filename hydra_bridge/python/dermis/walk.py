@@ -29,6 +29,9 @@ UNSUPPORTED_PRIMS = (
     "Volume",
 )
 
+WITH_LIGHT_API = (*LIGHT_TYPES, *UNSUPPORTED_LIGHTS, "PortalLight")
+"""Types that have LightAPI built in; portals go with their domes."""
+
 VISIBILITIES = ("inherited", "invisible")
 PURPOSES = ("default", "render", "proxy", "guide")
 
@@ -191,7 +194,7 @@ class Walk:
         elif not kind and prim.GetTypeName():
             unknown = f"'{prim.GetTypeName()}', a type that USD does not know,"
             self.unsupported.setdefault(unknown, []).append(str(prim.GetPath()))
-        if kind not in (*MESH_TYPES, *LIGHT_TYPES, *UNSUPPORTED_LIGHTS) and prim.HasAPI("LightAPI"):
+        if kind not in (*MESH_TYPES, *WITH_LIGHT_API) and prim.HasAPI("LightAPI"):
             what = kind or "prim without a type"
             self.reader.warn(prim, f"LightAPI: a {what} does not shine; the API is for meshes")
 
