@@ -311,7 +311,7 @@ def test_targets_that_are_not_there_are_said(make_stage):
     stage = make_stage(
         'def RenderSettings "S"\n{\nrel products = [</P>, </Gone>, </v>]\n'
         'uniform token[] includedPurposes = ["render", "renders"]\n}\n'
-        + var("v", "N")
+        + var("v", "N", data="normal")
         + product("P", "a.exr", "v w").replace("/Render/", "/")
     )
     report = Report()
@@ -323,6 +323,7 @@ def test_targets_that_are_not_there_are_said(make_stage):
         ("/S", "products: /Gone is not there; it is left out"),
         ("/S", "products: /v is no RenderProduct; it is left out"),
         ("/P", "orderedVars: /w is not there; it is left out"),
+        ("/v", "dataType: 'normal' is no type; floats are written"),
         ("/S", "includedPurposes: 'renders' is no purpose; ignored"),
     ]
 

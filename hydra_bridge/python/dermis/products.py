@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass, field
 from typing import Any
 
-from pxr import Usd
+from pxr import Sdf, Usd
 
 from . import lpe
 from .aovs import AOVS, CELLS, EXTRA_AOVS, GUIDE_AOVS, LIGHT_AOV, PRIMVAR, SUMS, is_sum
@@ -136,6 +136,8 @@ def product_layers(product: Usd.Prim, reader: Reader) -> list[dict[str, Any]]:
             reader.warn(var, f"orderedVars: a var named '{name}' is there already; this one is not written")
             continue
         kind = reader.value(var, "dataType", "color3f")
+        if not Sdf.ValueTypeNames.Find(kind):
+            reader.warn(var, f"dataType: '{kind}' is no type; floats are written")
         layer: dict[str, Any] = {"name": name, "aov": aov, "half": bool(HALF.search(kind))}
         if aov.startswith(PRIMVAR):
             layer["channels"] = channels_of(kind)
