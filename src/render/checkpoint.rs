@@ -20,9 +20,11 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 /// Raised when an older file could be misread.
-const VERSION: u32 = 3;
+const VERSION: u32 = 4;
 /// As a number of this machine: another byte order does not match.
 const MAGIC: u64 = u64::from_le_bytes(*b"DERMISCP");
+/// Bytes of the first three numbers.
+const HEADER: u64 = 20;
 const END: u64 = u64::from_le_bytes(*b"PCSIMRED");
 
 /// Where a render keeps its state.
@@ -43,8 +45,8 @@ impl Keep {
     /// # Errors
     /// One of another scene, of other settings, or none that can be read.
     pub fn resumed(&self) -> Result<Option<PathBuf>> {
-        // Killed before it wrote a word, it found nothing.
-        let has_finds = || fs::metadata(self.journal()).is_ok_and(|journal| journal.len() > 0);
+        // Killed before it wrote as much as a header, it found nothing.
+        let has_finds = || fs::metadata(self.journal()).is_ok_and(|journal| journal.len() > HEADER);
         let (file, magic) = match self.resume {
             true if self.has_samples() => (self.file.clone(), MAGIC),
             true if has_finds() => (self.journal(), JOURNAL),
@@ -58,6 +60,15 @@ impl Keep {
     /// Whether samples were kept that are gone on from.
     pub(super) fn has_samples(&self) -> bool {
         self.resume && self.file.exists()
+    }
+
+    /// A render that is not gone on from leaves nothing that a later one would take for its own.
+    pub(super) fn begin(&self) {
+        if !self.resume {
+            // Where nothing was left, there is nothing to remove; where that fails, so will writing, which says so.
+            let _ = fs::remove_file(&self.file);
+            let _ = fs::remove_file(self.journal());
+        }
     }
 
     /// Where training keeps what it finds.
@@ -101,6 +112,7 @@ impl<'a> Keeper<'a> {
     }
 
     pub fn new(keep: &'a Keep) -> Self {
+        keep.begin();
         Self { keep, last: Mutex::new(Instant::now()) }
     }
 }
@@ -145,6 +157,7 @@ impl Run<'_> {
         to.array(&schedule.budget)?;
         to.value(&at.done)?;
         to.value(&self.progress.stats())?;
+        to.value(&self.learned.records)?;
         to.value(&self.learned.learned_passes)?;
         to.value(&self.finished.load(Ordering::Relaxed))?;
         let adaptive = serde_json::to_vec(&locked(&self.progress.report).adaptive)?;
@@ -185,6 +198,11 @@ impl Run<'_> {
         passes.done = from.value()?;
         // Training was counted when it was done first.
         *locked(&self.progress.stats) = from.value()?;
+        if self.learned.records != from.value::<u64>()? {
+            let text =
+                "a time limit bounded its training, which this one does not go on from: is the .training file gone?";
+            return Err(io::Error::new(io::ErrorKind::InvalidData, text));
+        }
         self.learned.learned_passes = from.value()?;
         self.finished.store(from.value()?, Ordering::Relaxed);
         let adaptive: Option<Adaptive> = serde_json::from_slice(&from.bytes(1 << 16)?)?;

@@ -68,26 +68,31 @@ impl<'a> Journal<'a> {
         is_over: impl Fn() -> bool,
         look: impl Fn(Range<u32>) -> (Vec<T>, PathStats),
     ) -> Option<(Vec<T>, PathStats)> {
+        let (mut all, mut stats) = (Vec::new(), PathStats::default());
+        for begin in (0..count).step_by(CHUNK as usize) {
+            if is_over() {
+                return None;
+            }
+            let (mut found, seen) = self.next(|| look(begin..count.min(begin + CHUNK)));
+            all.append(&mut found);
+            stats.add(&seen);
+        }
+        Some((all, stats))
+    }
+
+    /// What a former process found next, or `look` finds now.
+    pub fn next<T: Find>(&mut self, look: impl FnOnce() -> (Vec<T>, PathStats)) -> (Vec<T>, PathStats) {
         if let Some(keep) = self.keep.filter(|_| self.file.is_none()) {
             match self.open(keep) {
                 Ok(file) => self.file = Some(file),
                 Err(error) => self.give_up(&error),
             }
         }
-        let (mut all, mut stats) = (Vec::new(), PathStats::default());
-        for begin in (0..count).step_by(CHUNK as usize) {
-            if is_over() {
-                return None;
-            }
-            let (mut found, seen) = self.kept().unwrap_or_else(|| {
-                let found = look(begin..count.min(begin + CHUNK));
-                self.append(&found.0, &found.1);
-                found
-            });
-            all.append(&mut found);
-            stats.add(&seen);
-        }
-        Some((all, stats))
+        self.kept().unwrap_or_else(|| {
+            let found = look();
+            self.append(&found.0, &found.1);
+            found
+        })
     }
 
     /// The next chunk of a former process. From the first that is not whole on everything is looked for.
@@ -158,6 +163,17 @@ fn decode<T: Find>(mut bytes: &[u8]) -> io::Result<(Vec<T>, PathStats)> {
     let stats = from.value()?;
     let found = (0..from.count()?).map(|_| T::load(&mut from)).collect::<io::Result<_>>()?;
     Ok((found, stats))
+}
+
+/// How many points are looked at.
+impl Find for u32 {
+    fn save(&self, to: &mut Saver) -> io::Result<()> {
+        to.value(self)
+    }
+
+    fn load(from: &mut Loader) -> io::Result<Self> {
+        from.value()
+    }
 }
 
 impl Find for Beam {

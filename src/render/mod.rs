@@ -215,18 +215,16 @@ impl<'a> Run<'a> {
     fn train(&mut self, film: &Film) -> bool {
         let (progress, start, limit) = (self.progress, self.start, self.limit);
         let keep = self.keeper.as_ref().map(Keeper::keep);
-        let has_samples = keep.map(Keep::has_samples);
-        let is_over = || match has_samples {
-            None => is_over(progress, start, limit),
-            Some(has_samples) => !has_samples && progress.stopped(),
-        };
+        // What was rendered before is worth more than the time it takes to train again.
+        let is_needed = keep.is_some_and(Keep::has_samples);
+        let is_over = || !is_needed && is_over(progress, start, limit);
         let (scene, settings, journal) = (self.scene, self.settings, Journal::new(keep));
-        let mut training = Training { scene, settings, journal, is_over };
+        let mut training = Training { scene, settings, journal, limit, is_over };
         let trained = training.train(&mut self.guide);
         self.progress.add(&trained.stats);
         self.learned.resumed_finds = training.journal.resumed;
         locked(&self.progress.report).warnings.extend(training.journal.fault.map(|fault| fault.to_string()));
-        if has_samples == Some(false) && progress.stopped() {
+        if keep.is_some() && (training.is_over)() {
             return false;
         }
         if film.watches_walks() {

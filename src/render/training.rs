@@ -25,6 +25,7 @@ use crate::subsurface::walk::{Along, walk};
 use glam::{Mat3, Vec2, Vec3};
 use rayon::prelude::*;
 use std::ops::Range;
+use std::time::{Duration, Instant};
 
 /// Apart from the samples of the image.
 const SEED: u32 = 0x7261_6e64;
@@ -36,6 +37,12 @@ const SAMPLES_PER_RECORD: u64 = 10;
 const ENOUGH_SAMPLES: u32 = 64;
 
 const RECORDS: std::ops::RangeInclusive<u64> = 8_000..=400_000;
+
+/// Share of a time limit that finding records may take; making caches of them and learning comes on top.
+const OF_LIMIT: f64 = 0.1;
+
+/// Points that are timed for it.
+const TIMED: u32 = 256;
 
 /// Pixels across a cell: some hundred walks start there within the first passes (mixture_3d.md section 5).
 const PIXELS: f32 = 6.0;
@@ -69,6 +76,8 @@ pub(super) struct Training<'a, Over: Fn() -> bool> {
     pub scene: &'a Scene,
     pub settings: &'a RenderSettings,
     pub journal: Journal<'a>,
+    /// Of the whole render.
+    pub limit: Option<Duration>,
     /// What it leaves out is as if nothing were known there.
     pub is_over: Over,
 }
@@ -77,7 +86,17 @@ impl<Over: Fn() -> bool> Training<'_, Over> {
     /// Fills the beams and fields of `guide` that its plans need.
     pub fn train(&mut self, guide: &mut Guide) -> Trained {
         let scene = self.scene;
-        let count = record_count(scene, self.settings);
+        if !guide.plans.iter().flatten().any(|plan| guide.must_know(plan) || plan.bends) {
+            return Trained::default();
+        }
+        let most = record_count(scene, self.settings);
+        let (settings, limit) = (self.settings, self.limit);
+        // How fast the machine is may not decide what a render that goes on from here looks like.
+        let (counted, _) = self.journal.next(|| {
+            let count = limit.map_or(most, |limit| affordable(scene, settings, guide, limit, most));
+            (vec![count], PathStats::default())
+        });
+        let Some(&count) = counted.first() else { return Trained::default() };
         let looked = self.add_beams(guide, count);
         // A body that fills the frame has most of the records, a tooth its share.
         let (shares, small) = share_records(scene, guide, Aim::Records, count);
@@ -130,6 +149,23 @@ impl<Over: Fn() -> bool> Training<'_, Over> {
 /// Those of the bodies of one cache that are looked at.
 pub(super) fn probed(body: &Body) -> Vec<u32> {
     body.members.iter().copied().step_by(body.members.len().div_ceil(MOST_PROBED)).collect()
+}
+
+/// Of the `most` records those that take [`OF_LIMIT`] of a time limit, by what a few points of the largest body cost.
+fn affordable(scene: &Scene, settings: &RenderSettings, guide: &Guide, limit: Duration, most: u32) -> u32 {
+    let largest = |aim: Aim| {
+        let (bodies, _) = share_records(scene, guide, aim, most);
+        let body = bodies.iter().max_by_key(|body| body.records)?;
+        Some((aim, BoundaryOf::new(scene.middle(), guide, body.members[0], aim)?))
+    };
+    let Some((aim, boundary)) = largest(Aim::Records).or_else(|| largest(Aim::Beams)) else { return most };
+    let begin = Instant::now();
+    match aim {
+        Aim::Records => drop(boundary.records_by_area(guide, settings.seed, 0..TIMED, TIMED)),
+        Aim::Beams => drop(boundary.beams_by_area(settings.seed, 0..TIMED, TIMED)),
+    }
+    let of_one = begin.elapsed().as_secs_f64() / f64::from(TIMED);
+    most.min((OF_LIMIT * limit.as_secs_f64() / of_one.max(1e-9)) as u32) // no clock is finer
 }
 
 fn record_count(scene: &Scene, settings: &RenderSettings) -> u32 {

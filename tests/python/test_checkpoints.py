@@ -84,7 +84,7 @@ def test_killed_while_training(wax, tmp_path, fill):
     assert run("record", wax, tmp_path / "whole.exr", *flags) == 0
     out, found = tmp_path / "a.exr", tmp_path / "a.exr.checkpoint.training"
     child = start("record", wax, out, *flags, "--checkpoint", "1000")
-    while child.poll() is None and not has_a_chunk(found):
+    while child.poll() is None and not has_finds(found):
         time.sleep(0.001)
     assert child.poll() is None, "it was too fast to be killed"
     child.kill()
@@ -100,10 +100,15 @@ def test_killed_while_training(wax, tmp_path, fill):
     assert names(tmp_path) == ["a.exr", "s.json", "wax.usda", "whole.exr"]
 
 
-def has_a_chunk(journal: Path) -> bool:
-    """Whether the first of its finds are there: 20 bytes of header, a digest, their length, and they."""
-    data = journal.read_bytes() if journal.exists() else b""
-    return len(data) > 36 and len(data) >= 36 + struct.unpack_from("<Q", data, 28)[0]
+def has_finds(journal: Path) -> bool:
+    """Whether the first of its finds are there: after 20 bytes of header and the number of points that are looked at,
+    each a digest, their length, and they."""
+    data, at = journal.read_bytes() if journal.exists() else b"", 20
+    for _ in range(2):
+        if len(data) < at + 16:
+            return False
+        at += 16 + struct.unpack_from("<Q", data, at + 8)[0]
+    return len(data) >= at
 
 
 def test_interrupted_while_training(wax, tmp_path):
@@ -111,7 +116,7 @@ def test_interrupted_while_training(wax, tmp_path):
     flags = ("-w", "300", "--samples", "64", "--threads", "1")
     found = tmp_path / "a.exr.checkpoint.training"
     child = start("record", wax, tmp_path / "a.exr", *flags, "--checkpoint", "1000")
-    while child.poll() is None and not has_a_chunk(found):
+    while child.poll() is None and not has_finds(found):
         time.sleep(0.001)
     child.send_signal(signal.SIGINT)
     child.communicate(timeout=60)
@@ -119,6 +124,47 @@ def test_interrupted_while_training(wax, tmp_path):
     kept = found.stat().st_size
     assert run("record", wax, tmp_path / "a.exr", *flags, "--samples", "65", "--resume") == 1
     assert found.stat().st_size == kept and not (tmp_path / "a.exr.checkpoint").exists()
+    assert run("record", wax, tmp_path / "a.exr", *flags, "--timeLimit", "1", "--resume") == 0
+
+
+def test_a_time_limit_is_not_for_training_alone(wax, tmp_path):
+    """With checkpoints as without; a render that goes on from one has as many records as that."""
+    flags = ("-w", "120", "--samples", "100000", "--threads", "1", "--timeLimit")
+
+    def records(limit: str, *keep: str) -> int:
+        assert run("record", wax, tmp_path / "a.exr", *flags, limit, *keep, "--stats", tmp_path / "s.json") == 0
+        found = json.loads((tmp_path / "s.json").read_text())
+        assert found["samples_per_pixel"] > 0.0
+        return found["guide"]["records"]
+
+    some = records("1")
+    height, width = read_exr(tmp_path / "a.exr")[1].shape[:2]
+    whole = width * height * 64 // 10
+    assert 0 < some < whole // 2 and 0 < records("1", "--checkpoint", "1000") < whole // 2
+    child = start("record", wax, tmp_path / "a.exr", *flags, "1000", "--checkpoint", "0.05", "--progress", "json")
+    wait_for(tmp_path / "a.exr.checkpoint", child)
+    child.kill()
+    child.communicate()
+    assert records("5", "--resume") == whole
+
+
+def test_what_another_render_left_is_not_in_the_way(wax, tmp_path):
+    """Both files: that of a render which was killed while it trained, and of one killed later."""
+    flags = ("-w", "60", "--threads", "1", "--samples", "100000", "--checkpoint")
+    for every, left in (("1000", "a.exr.checkpoint.training"), ("0.02", "a.exr.checkpoint")):
+        child = start("record", wax, tmp_path / "a.exr", *flags, every)
+        while child.poll() is None and not (tmp_path / left).exists():
+            time.sleep(0.001)
+        child.kill()
+        child.communicate()
+        child = start("record", wax, tmp_path / "a.exr", *flags, "1000", "--walk", "classical", "--timeLimit", "100")
+        while child.poll() is None and (tmp_path / left).exists():
+            time.sleep(0.001)
+        assert child.poll() is None, "what the other render left is there until the end"
+        child.kill()
+        child.communicate()
+        again = ("--walk", "classical", "--timeLimit", "1", "--resume")
+        assert run("record", wax, tmp_path / "a.exr", *flags, "1000", *again) == 0
 
 
 def is_past(keep: Path, pilot: bool, samples: int) -> bool:
@@ -237,7 +283,8 @@ def test_only_complete_files_are_skipped(tmp_path, stage, kind, damage):
     if kind == "json":
         file.write_text(json.dumps({"complete": damage != "interrupted"}))
     elif kind == "exr":
-        assert run("record", stage, file, *SMALL) == 0
+        # Larger than its header, and than what is read at once.
+        assert run("record", stage, file, "--samples", "2", "-w", "100", "--aov", "normal") == 0
     else:
         comment = files.INCOMPLETE if damage == "interrupted" else ""
         color.write_display_image(
@@ -253,8 +300,10 @@ def test_only_complete_files_are_skipped(tmp_path, stage, kind, damage):
         file.write_bytes(b"")
         assert not files.is_complete(file)
     if damage == "cut":
-        file.write_bytes(file.read_bytes()[: file.stat().st_size // 3])
-        assert not files.is_complete(file)
+        whole = file.read_bytes()
+        for length in (len(whole) // 3, len(whole) * 9 // 10, len(whole) - 20):
+            file.write_bytes(whole[:length])
+            assert not files.is_complete(file), length
 
 
 def test_snapshots(wax, tmp_path):

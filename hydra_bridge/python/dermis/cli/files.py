@@ -12,6 +12,9 @@ from . import output
 #: Comment of a PNG or JPEG that an interrupt ended; EXRs have the attribute `dermis.complete`.
 INCOMPLETE = "dermis: incomplete"
 
+#: Of an image, read at once.
+LINES = 64
+
 
 class Writer:
     """Writes what a delegate has rendered; `transform` makes pictures for eyes."""
@@ -79,6 +82,22 @@ def _exr_is_complete(file: Path) -> bool:
     if image is None:
         oiio.geterror()  # else it complains when the process ends
         return False
-    complete = image.spec().getattribute("dermis.complete") != "false"
+    complete = image.spec().getattribute("dermis.complete") != "false" and _has_all_lines(image)
+    if not complete:
+        oiio.geterror()
     image.close()
     return complete
+
+
+def _has_all_lines(image: Any) -> bool:
+    """Whether every line of every part can be read: a copy that was cut has its whole header."""
+    part = 0
+    while image.seek_subimage(part, 0):
+        spec = image.spec()
+        for begin in range(spec.y, spec.y + spec.height, LINES):
+            end = min(begin + LINES, spec.y + spec.height)
+            if image.read_scanlines(part, 0, begin, end, spec.z, 0, spec.nchannels, spec.format) is None:
+                image.geterror()
+                return False
+        part += 1
+    return part > 0
