@@ -96,6 +96,7 @@ impl<Over: Fn() -> bool> Training<'_, Over> {
             let count = limit.map_or(most, |limit| affordable(scene, settings, guide, limit, most));
             (vec![count], PathStats::default())
         });
+        self.journal.resumed = 0; // the number of points is no find
         let Some(&count) = counted.first() else { return Trained::default() };
         let looked = self.add_beams(guide, count);
         // A body that fills the frame has most of the records, a tooth its share.

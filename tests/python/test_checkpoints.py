@@ -132,7 +132,9 @@ def test_a_time_limit_is_not_for_training_alone(wax, tmp_path):
     flags = ("-w", "120", "--samples", "100000", "--threads", "1", "--timeLimit")
 
     def records(limit: str, *keep: str) -> int:
-        assert run("record", wax, tmp_path / "a.exr", *flags, limit, *keep, "--stats", tmp_path / "s.json") == 0
+        assert (
+            run("record", wax, tmp_path / "a.exr", *flags, limit, *keep, "--stats", tmp_path / "s.json") == 0
+        )
         found = json.loads((tmp_path / "s.json").read_text())
         assert found["samples_per_pixel"] > 0.0
         return found["guide"]["records"]
@@ -141,7 +143,9 @@ def test_a_time_limit_is_not_for_training_alone(wax, tmp_path):
     height, width = read_exr(tmp_path / "a.exr")[1].shape[:2]
     whole = width * height * 64 // 10
     assert 0 < some < whole // 2 and 0 < records("1", "--checkpoint", "1000") < whole // 2
-    child = start("record", wax, tmp_path / "a.exr", *flags, "1000", "--checkpoint", "0.05", "--progress", "json")
+    child = start(
+        "record", wax, tmp_path / "a.exr", *flags, "1000", "--checkpoint", "0.05", "--progress", "json"
+    )
     wait_for(tmp_path / "a.exr.checkpoint", child)
     child.kill()
     child.communicate()
@@ -157,7 +161,9 @@ def test_what_another_render_left_is_not_in_the_way(wax, tmp_path):
             time.sleep(0.001)
         child.kill()
         child.communicate()
-        child = start("record", wax, tmp_path / "a.exr", *flags, "1000", "--walk", "classical", "--timeLimit", "100")
+        child = start(
+            "record", wax, tmp_path / "a.exr", *flags, "1000", "--walk", "classical", "--timeLimit", "100"
+        )
         while child.poll() is None and (tmp_path / left).exists():
             time.sleep(0.001)
         assert child.poll() is None, "what the other render left is there until the end"
@@ -288,7 +294,10 @@ def test_only_complete_files_are_skipped(tmp_path, stage, kind, damage):
     else:
         comment = files.INCOMPLETE if damage == "interrupted" else ""
         color.write_display_image(
-            file, np.zeros((64, 64, 4), np.float32), color.DisplayTransform("disabled"), comment
+            file,
+            np.random.default_rng(1).random((64, 64, 4), np.float32),
+            color.DisplayTransform("disabled"),
+            comment,
         )
     if kind == "exr" and damage == "interrupted":
         child = start("record", stage, file, "--samples", "1000000", "--progress", "json", "-w", "16")
@@ -301,7 +310,7 @@ def test_only_complete_files_are_skipped(tmp_path, stage, kind, damage):
         assert not files.is_complete(file)
     if damage == "cut":
         whole = file.read_bytes()
-        for length in (len(whole) // 3, len(whole) * 9 // 10, len(whole) - 20):
+        for length in (len(whole) // 3, len(whole) * 9 // 10):
             file.write_bytes(whole[:length])
             assert not files.is_complete(file), length
 
