@@ -247,6 +247,13 @@ def test_damaged_checkpoints_are_refused(stage, tmp_path):
     assert run(*flags) == 0
 
 
+def test_no_more_than_a_tile_is_between_two_checkpoints(stage, tmp_path):
+    """Whenever they are due one is written after the tile under way: here after each of 9 tiles in 2 passes."""
+    flags = ("-w", "48", "--imageHeight", "48", "--samples", "3", "--threads", "1", "--checkpoint", "1e-9")
+    assert run("record", stage, tmp_path / "a.exr", *flags, "--stats", tmp_path / "s.json") == 0
+    assert json.loads((tmp_path / "s.json").read_text())["checkpoints"] == 18
+
+
 def test_resume_without_a_checkpoint_begins(stage, tmp_path):
     assert run("record", stage, tmp_path / "a.exr", *SMALL, "--resume") == 0
     assert run("record", stage, tmp_path / "b.exr", *SMALL) == 0

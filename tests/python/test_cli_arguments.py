@@ -73,7 +73,7 @@ def test_usdrecord_flags_are_accepted():
         (["--displayImage", "a.exr"], "must end in one of .png, .jpg, .jpeg"),
         (["--set", "samples"], "expected NAME=VALUE, got 'samples'"),
         (["--renderer", "Storm"], "invalid choice: 'Storm'"),
-        (["--resolver", "inherit"], "invalid choice: 'inherit'"),
+        (["--resolver", "leaf"], "invalid choice: 'leaf'"),
         (["-d", "-f", "1"], "not allowed with argument"),
         (["--unknown"], "unrecognized arguments: --unknown"),
     ],

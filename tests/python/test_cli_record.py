@@ -536,13 +536,27 @@ def test_bytes_of_one_and_two_threads_agree(stage, tmp_path):
     np.testing.assert_array_equal(read_exr(tmp_path / "1.exr")[1], read_exr(tmp_path / "2.exr")[1])
 
 
-def test_trace_of_usd(stage, tmp_path):
-    file = stage(CARD, CAMERA, DOME)
-    trace = tmp_path / "trace.txt"
-    assert (
-        run("record", file, tmp_path / "a.exr", "--traceToFile", trace, "--traceFormat", "trace", *SMALL) == 0
-    )
-    assert trace.stat().st_size > 0
+@pytest.mark.parametrize("listener", ["gone", "full"])
+def test_nobody_has_to_listen(stage, tmp_path, listener):
+    """A log that cannot be written costs no frame."""
+    command = [sys.executable, "-m", "dermis", "record", stage(CARD, CAMERA, DOME), tmp_path / "a.###.exr"]
+    reader, writer = os.pipe()
+    os.close(reader)
+    if listener == "full":
+        os.close(writer)
+        writer = os.open("/dev/full", os.O_WRONLY)
+    child = subprocess.run([*command, "-f", "1:3", *SMALL], stdout=writer, stderr=writer, timeout=120)
+    os.close(writer)
+    assert child.returncode == 0
+    assert [name for name in names(tmp_path) if name.startswith("a.")] == [f"a.00{i}.exr" for i in (1, 2, 3)]
+
+
+def test_what_is_printed_for_nobody(stage):
+    """A full disk is said in a line; a reader that has enough is no error."""
+    command = [sys.executable, "-m", "dermis", "explain", stage(CARD, CAMERA, DOME)]
+    with open("/dev/full", "w") as full:
+        child = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, timeout=60)
+    assert child.returncode == 1 and child.stderr.count("\n") == 1 and "No space left" in child.stderr
 
 
 MAPPED = """

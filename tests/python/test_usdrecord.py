@@ -4,14 +4,19 @@ The facts are those of pxr/usdImaging/bin/usdrecord and pxr/usdImaging/usdAppUti
 specs and pictures have tests of their own (test_frames, test_cli_record).
 """
 
+import json
 import re
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
+from pxr import Ar
 
 pytest.importorskip("dermis._core", reason="the Rust core is not built")
 
-from command_line import CAMERA, CARD, DOME, channels, names, read_exr, run, stage_text, write_stage
+from command_line import CAMERA, CARD, DOME, channels, names, read_exr, run, stage_text, start, write_stage
 
 from dermis.cli import build_parser
 
@@ -32,6 +37,12 @@ FLAGS = {
     "--enableDomeLightVisibility": "enableDomeLightVisibility",
     "--renderPassPrimPath -rp": "rpPrimPath",
     "--renderSettingsPrimPath -rs": "rsPrimPath",
+    # Of later versions.
+    "--disableDrawMode": "disableDrawMode",
+    "--resolver": "resolver",
+    "--traceToFile": "traceToFile",
+    "--traceFormat": "traceFormat",
+    "--memstats": "memstats",
 }
 
 RED = CARD.replace("Card", "Red").replace("(1, 1, 1)]", "(1, 0, 0)]").replace(", 0)", ", 1)")
@@ -92,6 +103,43 @@ def test_session_layer(stage, tmp_path):
     file = stage(CARD, RED, CAMERA, DOME)
     assert record(file, tmp_path)[1] < 0.2
     assert record(file, tmp_path, "--sessionLayer", str(tmp_path / "session.usda"))[1] > 0.5
+
+
+def test_resolver(stage, tmp_path):
+    """Whose search paths count: those of the root layer's context, or those of the process."""
+    (tmp_path / "assets").mkdir()
+    (tmp_path / "assets" / "card.usda").write_text(
+        f'#usda 1.0\n(defaultPrim = "Red")\n{RED.replace("    def Mesh", "def Mesh")}'
+    )
+    file = stage('    def "There" (references = @card.usda@) {}\n', CAMERA, DOME)
+    search = Ar.ResolverContext(Ar.DefaultResolverContext([str(tmp_path / "assets")]))
+    with Ar.ResolverContextBinder(search):
+        assert record(file, tmp_path, "--resolver", "inherit")[0] > 0.5
+        assert record(file, tmp_path, "--resolver", "root")[0] < 0.2
+
+
+def test_trace_of_usd(stage, tmp_path):
+    """In Chrome's format, or USD's."""
+    file, trace = stage(CARD, CAMERA, DOME), tmp_path / "trace"
+    record(file, tmp_path, "--traceToFile", str(trace))
+    assert json.loads(trace.read_text())["traceEvents"]
+    record(file, tmp_path, "--traceToFile", str(trace), "--traceFormat", "trace")
+    assert "Tree view" in trace.read_text()
+
+
+def test_memory_of_usd(stage, tmp_path):
+    """Of a process that accounts it from its start: the sum, and a file with the tree of calls."""
+    child = start("record", stage(CARD, CAMERA, DOME), tmp_path / "a.exr", *SMALL, "--memstats")
+    said = child.communicate(timeout=60)[0]
+    assert child.returncode == 0
+    able = "from pxr import Tf; Tf.MallocTag.Initialize(); print(Tf.MallocTag.IsInitialized())"
+    if subprocess.run([sys.executable, "-c", able], capture_output=True, text=True).stdout.strip() == "False":
+        assert "Unable to accumulate memory usage since the Pxr MallocTag system was not initialized" in said
+        return
+    tree = re.search(r"Memory consumption of .* for s\.usda is \d+ Mb\nFor detailed analysis, see (.*)", said)
+    assert tree, said
+    assert "Tree view" in Path(tree[1]).read_text()
+    Path(tree[1]).unlink()
 
 
 def test_accepted_without_effect(stage, tmp_path):

@@ -3,7 +3,6 @@
 import os
 import signal
 import sys
-from contextlib import suppress
 
 INTERRUPTED = 130
 
@@ -23,8 +22,13 @@ def main() -> int:
     if sys.argv[1] in ("bench", "peers"):
         return code  # they have folders to remove
     # The system frees at once what usd-core and the interpreter would free piece by piece.
-    with suppress(BrokenPipeError):  # whoever read our output has enough
+    try:
         sys.stdout.flush()
+    except BrokenPipeError:
+        pass  # whoever read our output has enough
+    except OSError as error:
+        print(f"standard output: {error}", file=sys.stderr)
+        code = code or 1
     os._exit(code)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade
+from pxr import Ar, Gf, Sdf, Tf, Usd, UsdGeom, UsdShade
 
 from .aovs import PRIMVAR
 from .camera import auto_camera, camera_fields, find_camera, find_shutter
@@ -99,8 +99,14 @@ class FlatStage:
     version: int = -1
 
 
-def open_stage(path: str | Path, session_layer: str | Path | None = None, mask: Any = None) -> Usd.Stage:
-    """Opens .usda, .usdc or .usdz with all payloads. `mask`: prim paths of a population mask, or None.
+def open_stage(
+    path: str | Path,
+    session_layer: str | Path | None = None,
+    mask: Any = None,
+    context: Ar.ResolverContext | None = None,
+) -> Usd.Stage:
+    """Opens .usda, .usdc or .usdz with all payloads. `mask`: prim paths of a population mask, or None. `context`:
+    where its assets are looked for; None: as its root layer says.
 
     Raises StageError ("Could not open layer: ...") where a layer is missing or damaged.
     """
@@ -108,10 +114,11 @@ def open_stage(path: str | Path, session_layer: str | Path | None = None, mask: 
     root = open_layer(path)
     session = open_layer(session_layer) if session_layer else Sdf.Layer.CreateAnonymous(".usda")
     try:
+        given = (root, session) if context is None else (root, session, context)
         if not mask:
-            return Usd.Stage.Open(root, session)
+            return Usd.Stage.Open(*given)
         paths = [mask] if isinstance(mask, str) else mask
-        return Usd.Stage.OpenMasked(root, session, Usd.StagePopulationMask([Sdf.Path(str(p)) for p in paths]))
+        return Usd.Stage.OpenMasked(*given, Usd.StagePopulationMask([Sdf.Path(str(p)) for p in paths]))
     except Tf.ErrorException as error:
         raise StageError(f"Could not open layer: {path} ({usd_words(error)})") from error
 

@@ -29,7 +29,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Whoever read our output (`| head`) has enough; the interpreter's own flush must not complain either.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except (_scene_error(), OutputError) as error:
+    except (_scene_error(), OutputError, OSError) as error:
         print(error, file=sys.stderr)
         return 1
 

@@ -62,7 +62,10 @@ def add_composition_arguments(parser: argparse.ArgumentParser) -> None:
         help="open the stage with this session layer",
     )
     parser.add_argument(
-        "--resolver", choices=("root",), help="resolver context: made from the root layer (the only one here)"
+        "--resolver",
+        choices=("root", "inherit"),
+        default="root",
+        help="resolver context: made from the root layer, or that of the process (default=%(default)s)",
     )
     parser.add_argument("--disableGpu", action="store_true", help="accepted; dermis never uses a GPU")
     parser.add_argument(

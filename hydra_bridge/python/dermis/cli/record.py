@@ -20,6 +20,7 @@ from .arguments import (
 )
 from .frames import frame_path
 from .interrupt import INTERRUPTED, Interrupt
+from .listeners import lasting
 from .progress import Progress, default_kind
 from .settings import SettingsError, default_settings
 
@@ -54,7 +55,7 @@ def run(parser: argparse.ArgumentParser, args: argparse.Namespace) -> int:
     refuse_one_file_twice(parser, args)
     check_tile(parser, args)
     transform = display_transform(parser, args)
-    with diagnostics.recording(args):
+    with lasting(), diagnostics.recording(args):
         return Recorder(parser, args, transform).record()
 
 
@@ -126,11 +127,11 @@ class Recorder:
     def frame(self, number: int, when: Any, progress: Progress, interrupt: Interrupt) -> None:
         began = self.began if number == 0 else time.monotonic()
         outputs = self.outputs(when)
+        self.refuse_same_file(outputs)
         if self.args.skipExisting and self.is_there(outputs, when):
             print(f"Skipping{_at(when)}: {outputs[0].file} is there", flush=True)
             progress.update(number, 1.0)
             return
-        self.refuse_same_file(outputs)
         for file in self.files(outputs, when):
             output.prepare_folder(file)
         last = number == len(self.scene.times) - 1

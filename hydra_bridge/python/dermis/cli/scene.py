@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pxr import Sdf, Usd, UsdGeom
+from pxr import Ar, Sdf, Usd, UsdGeom
 
 from dermis import camera as cameras
 from dermis import hydra, passes, products, stage
@@ -123,7 +123,8 @@ class Stage:
         self.typed = typed
         self.defaults = defaults
         mask = (args.populationMask or "").replace(",", " ").split() or None
-        self.stage = stage.open_stage(args.usdFilePath, args.sessionLayerPath, mask)
+        context = Ar.GetResolver().GetCurrentContext() if args.resolver == "inherit" else None
+        self.stage = stage.open_stage(args.usdFilePath, args.sessionLayerPath, mask, context)
         self.times = resolve_times(parser, args, self.stage, paths)
         self.warnings: Warnings = [
             (path, "mask: there is no such prim") for path in mask or () if not self.stage.GetPrimAtPath(path)
