@@ -5,7 +5,7 @@ import time
 import pytest
 
 from dermis.aovs import CELLS, is_sum
-from dermis.lpe import cells_of, parts_fog, parts_mirrors, sum_of
+from dermis.lpe import LONGEST, cells_of, parts_fog, parts_mirrors, sum_of
 from dermis.products import named_lpe
 
 OF_OTHERS = {
@@ -86,6 +86,23 @@ def test_expressions_of_other_renderers(text):
 )
 def test_what_is_no_expression(text):
     assert cells_of(text) == ()
+
+
+@pytest.mark.parametrize("event", ["D", "S", "[DS]", "(D", "D*"])
+def test_expressions_end_somewhere(event):
+    """Patterns nest as deep as an expression is long, and are hashed on the C stack: that has killed the process."""
+    for text in (f"C{event * 400_000}L", f"C{event * 1000}L"):
+        assert (
+            cells_of(text) == ()
+            and named_lpe(text) is None
+            and not parts_mirrors(text)
+            and not parts_fog(text)
+        )
+
+
+def test_long_expressions_are_read():
+    text = "C<RD>.*(" + "|".join(["L", "O"] * 240) + ")"
+    assert 900 < len(text) <= LONGEST and named_lpe(text) == "diffuse"
 
 
 def test_no_expression_takes_long():

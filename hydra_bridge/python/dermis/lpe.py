@@ -50,6 +50,9 @@ VOLUME = "v"
 FOG = {"b": f"b{VOLUME}"}
 """What a medium scatters has come by V where the medium is fog, which light gets into and out of without an event."""
 
+LONGEST = 1000
+"""Characters of an expression that is read: patterns nest as deep as it is long, Python's C stack ends."""
+
 LONG = 40
 """Later events of the longest paths that are asked about: more than any expression counts."""
 
@@ -87,8 +90,10 @@ def letters_of(text: str) -> set[str]:
 
 
 def answers_of(text: str, finer: dict[str, str] | None = None, apart: bool = False) -> dict[str, set[bool]]:
-    """What `text` answers about paths of each part; nothing where it is no expression. `finer`: events that are of
-    several kinds; `apart`: S and G are two things."""
+    """What `text` answers about paths of each part; nothing where it is no expression, or too long a one. `finer`:
+    events that are of several kinds; `apart`: S and G are two things."""
+    if len(text) > LONGEST:
+        return {}
     try:
         pattern = Reader(re.sub(r"\s+", "", text).replace('"', "'"), apart).pattern()
         return {cell: answers_about(pattern, cell, finer or {}) for cell in CELLS}
