@@ -286,6 +286,44 @@ def test_prims_not_rendered_yet_are_named_once_per_type(flat):
     assert all("not rendered yet; nor are /" in message for _, message in warnings)
 
 
+def model(name: str, metadata: str = "", *lines: str, inner: str = "") -> str:
+    text = "\n".join(f"    {line}" for line in lines)
+    return (
+        f'def Xform "{name}" (\n{metadata}\n)\n{{\n{text}\n    def Cube "Body"\n    {{\n    }}\n{inner}\n}}\n'
+    )
+
+
+CARDS, BOUNDS = ('uniform token model:drawMode = "cards"', 'uniform token model:drawMode = "bounds"')
+APPLY, COMPONENT = "uniform bool model:applyDrawMode = 1", 'kind = "component"'
+
+
+def test_models_that_would_be_drawn_as_something_else_are_named(flat):
+    """usdrecord draws cards, bounds or an origin for components, and for what asks for it."""
+    body = model("A", COMPONENT, CARDS) + model("B", 'kind = "group"', CARDS, APPLY)
+    body += model("C", 'kind = "group"', BOUNDS, inner=model("Part", COMPONENT))
+    result = flat(body)
+    assert result.warnings == [
+        ("/A", "model:drawMode: 'cards' is not drawn, the geometry is rendered instead; so is that of /B"),
+        ("/C/Part", "model:drawMode: 'bounds' is not drawn, the geometry is rendered instead"),
+    ]
+    assert set(result.prims) == {"/A/Body", "/B/Body", "/C/Body", "/C/Part/Body"}
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        model("A", 'kind = "group"', CARDS),
+        model("A", COMPONENT),
+        model("A", COMPONENT, 'uniform token model:drawMode = "default"'),
+        model("A", COMPONENT, CARDS, 'token visibility = "invisible"'),
+        model("A", 'kind = "group"', CARDS, inner=model("P", COMPONENT, CARDS.replace("cards", "default"))),
+        model("A", 'kind = "group"', APPLY),
+    ],
+)
+def test_models_that_are_drawn_as_they_are(flat, body):
+    assert flat(body).warnings == []
+
+
 CREASED = QUADS.replace(
     'uniform token subdivisionScheme = "none"',
     """uniform token interpolateBoundary = "edgeOnly"

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from pxr import Gf, Usd, UsdGeom, UsdShade, Vt
+from pxr import Gf, Kind, Usd, UsdGeom, UsdShade, Vt
 
 from .bindings import bound_materials
 from .instancer import Placements, nested, place, point_instances
@@ -32,6 +32,7 @@ UNSUPPORTED_PRIMS = (
 WITH_LIGHT_API = (*LIGHT_TYPES, *UNSUPPORTED_LIGHTS, "PortalLight")
 """Types that have LightAPI built in; portals go with their domes."""
 
+DRAW_MODES = ("cards", "bounds", "origin")
 VISIBILITIES = ("inherited", "invisible")
 PURPOSES = ("default", "render", "proxy", "guide")
 
@@ -45,7 +46,8 @@ PROTOTYPES = Usd.TraverseInstanceProxies(Usd.PrimIsActive & Usd.PrimIsLoaded)
 class Context:
     """What a prim has from its ancestors. `primvars`: name, primvar, bytes of its value; `bindings`: direct
     material bindings in force as (relationship, material, stronger than descendants); `skel`: skeleton and
-    animation bound, as (relationship, targets); `placer`: the point instancer around it, where collections ask."""
+    animation bound, as (relationship, targets); `placer`: the point instancer around it, where collections ask;
+    `draw_mode`: what models are drawn as in place of their geometry."""
 
     visible: bool = True
     purpose: str = "default"
@@ -54,6 +56,7 @@ class Context:
     collections: bool = False
     skel: tuple[tuple[str, str], ...] = ()
     placer: Placer | None = None
+    draw_mode: str = "default"
 
     def inherited(self) -> dict[str, UsdGeom.Primvar]:
         return {name: primvar for name, primvar, _ in self.primvars}
@@ -117,6 +120,7 @@ class Walk:
         self.world = Frame("", 0, INSTANCES)
         self.frames: dict[Any, Frame] = {}
         self.unsupported: dict[str, list[str]] = {}
+        self.drawn_as: dict[str, list[str]] = {}
         # (prim, frame, context above, matrix of the parent, None at a prototype's root: no transform of its
         # own)
         self.open: list[tuple[Usd.Prim, Frame, Context, Gf.Matrix4d | None]] = []
@@ -148,6 +152,7 @@ class Walk:
         context = descend(prim, context, self.reader)
         if self.links.prunes(prim.GetPath(), context.placer):
             context = replace(context, visible=False)
+        context = self.drawn(prim, context)
         frame, matrix = self.matrix(prim, frame, parent)
         kind = str(prim.GetPrimTypeInfo().GetSchemaTypeName())
         if kind == "PointInstancer":
@@ -159,6 +164,14 @@ class Walk:
             self.native_instance(prim, frame, context, matrix)
         else:
             self.push(prim.GetFilteredChildren(frame.predicate), frame, context, matrix)
+
+    def drawn(self, prim: Usd.Prim, context: Context) -> Context:
+        """Notes a model that usdrecord draws as something else (UsdGeomModelAPI); what is in it goes with it."""
+        mode = context.draw_mode
+        if mode not in DRAW_MODES or not context.visible or not applies_draw_mode(prim):
+            return context
+        self.drawn_as.setdefault(mode, []).append(str(prim.GetPath()))
+        return replace(context, draw_mode="default")
 
     def matrix(self, prim: Usd.Prim, frame: Frame, parent: Gf.Matrix4d | None) -> tuple[Frame, Gf.Matrix4d]:
         """Frame and prim-to-frame; a reset of the transform stack takes a prim out of its native instance."""
@@ -264,6 +277,17 @@ class Walk:
         for kind, paths in self.unsupported.items():
             others = f"; nor are {', '.join(map(str, paths[1:]))}" if paths[1:] else ""
             self.reader.warn(paths[0], f"{kind} is not rendered yet{others}")
+        for mode, paths in self.drawn_as.items():
+            others = f"; so is that of {', '.join(paths[1:])}" if paths[1:] else ""
+            self.reader.warn(
+                paths[0], f"model:drawMode: '{mode}' is not drawn, the geometry is rendered instead{others}"
+            )
+
+
+def applies_draw_mode(prim: Usd.Prim) -> bool:
+    """Components do, and what says so."""
+    apply = prim.GetAttribute("model:applyDrawMode")
+    return Usd.ModelAPI(prim).IsKind(Kind.Tokens.component) or bool(apply and apply.Get() is True)
 
 
 def descend(prim: Usd.Prim, context: Context, reader: Reader) -> Context:
@@ -274,6 +298,9 @@ def descend(prim: Usd.Prim, context: Context, reader: Reader) -> Context:
         changes["visible"] = False
     if "purpose" in names:
         changes["purpose"] = choice(prim, "purpose", PURPOSES, reader)
+    if "model:drawMode" in names:
+        mode = prim.GetAttribute("model:drawMode").Get()
+        changes["draw_mode"] = context.draw_mode if mode in (None, "inherited") else mode
     if any(name.startswith("primvars:") for name in names):
         changes["primvars"] = constant_primvars(prim, context, reader)
     if any(name.startswith("material:binding") for name in names):
