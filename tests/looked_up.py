@@ -23,6 +23,14 @@ def shader(name: str, identifier: str, *lines: str) -> str:
     )
 
 
+def connect(kind: str, name: str, node: str) -> str:
+    """An input of a MaterialX node that another one drives."""
+    return f"{kind} inputs:{name}.connect = </Look/{node}.outputs:out>"
+
+
+ST = shader("ST", "ND_texcoord_vector2", "int inputs:index = 0", "float2 outputs:out")
+
+
 def reader(name: str = "R", varname: str = "st", kind: str = "float2", fallback: str = "") -> str:
     lines = [f'string inputs:varname = "{varname}"', f"{kind} outputs:result"]
     lines += [f"{kind} inputs:fallback = {fallback}"] if fallback else []

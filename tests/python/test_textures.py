@@ -9,7 +9,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from looked_up import camera, glowing, looked_up, middles, primvar, quads, reader, render, shader, stage_of
+from looked_up import (
+    ST,
+    camera,
+    connect,
+    glowing,
+    looked_up,
+    middles,
+    primvar,
+    quads,
+    reader,
+    render,
+    shader,
+    stage_of,
+)
 
 dermis = pytest.importorskip("dermis")
 oiio = pytest.importorskip("OpenImageIO")
@@ -506,245 +519,6 @@ def test_texture_memory_bounds_memory_and_changes_no_picture(atlas, tmp_path):
 # MaterialX.
 
 
-def matx(*nodes: str) -> str:
-    return "".join(nodes)
-
-
-ST = shader("ST", "ND_texcoord_vector2", "int inputs:index = 0", "float2 outputs:out")
-S = shader(
-    "U", "ND_extract_vector2", "float2 inputs:in.connect = </Look/ST.outputs:out>", "float outputs:out"
-)
-T = S.replace('"U"', '"V"').replace("float outputs", "int inputs:index = 1\n        float outputs")
-
-POINTS = [(0.1, 0.93), (0.5, 0.25), (0.8, 0.35)]
-
-
-def u_and_v() -> tuple[np.ndarray, np.ndarray]:
-    st = np.array(POINTS)
-    return st[:, 0], st[:, 1]
-
-
-FLOATS = {
-    "add": (lambda u, v: u + v, "in1 in2"),
-    "multiply": (lambda u, v: u * v, "in1 in2"),
-    "divide": (lambda u, v: u / v, "in1 in2"),
-    "subtract": (lambda u, v: v - u, "in2 in1"),
-    "power": (lambda u, v: u**v, "in1 in2"),
-    "modulo": (lambda u, v: np.mod(v, u), "in2 in1"),
-    "min": (np.minimum, "in1 in2"),
-    "max": (np.maximum, "in1 in2"),
-    "atan2": (np.arctan2, "iny inx"),
-    "safepower": (lambda u, v: u**v, "in1 in2"),
-}
-
-
-@pytest.mark.parametrize("name", FLOATS)
-def test_arithmetic_of_two(name):
-    wanted, (first, second) = FLOATS[name][0], FLOATS[name][1].split()
-    node = shader(
-        "N",
-        f"ND_{name}_float",
-        f"float inputs:{first}.connect = </Look/U.outputs:out>",
-        f"float inputs:{second}.connect = </Look/V.outputs:out>",
-        "float outputs:out",
-    )
-    got = looked_up(glowing(matx(ST, S, T, node), "N.outputs:out"), POINTS)
-    np.testing.assert_allclose(got[:, 0], np.maximum(wanted(*u_and_v()), 0), rtol=1e-5, atol=1e-6)
-
-
-UNARY = {
-    "absval": np.abs,
-    "floor": np.floor,
-    "ceil": np.ceil,
-    "round": np.rint,
-    "sqrt": np.sqrt,
-    "exp": np.exp,
-    "sin": np.sin,
-    "cos": np.cos,
-    "tan": np.tan,
-    "asin": np.arcsin,
-    "acos": np.arccos,
-    "sign": np.sign,
-    "invert": lambda u: 1 - u,
-    "fract": lambda u: u,
-}
-
-
-@pytest.mark.parametrize("name", UNARY)
-def test_arithmetic_of_one(name):
-    node = shader(
-        "N", f"ND_{name}_float", "float inputs:in.connect = </Look/V.outputs:out>", "float outputs:out"
-    )
-    got = looked_up(glowing(matx(ST, T, node), "N.outputs:out"), POINTS)
-    np.testing.assert_allclose(got[:, 0], UNARY[name](u_and_v()[1]), rtol=1e-5, atol=1e-6)
-
-
-def mix(a, b, x):
-    return a + (b - a) * x
-
-
-COLOR = ("color3f inputs:{} = (0.2, 0.4, 0.9)", np.array([0.2, 0.4, 0.9]))
-OTHER = ("color3f inputs:{} = (0.7, 0.1, 0.3)", np.array([0.7, 0.1, 0.3]))
-
-
-def connect(kind: str, name: str, node: str) -> str:
-    return f"{kind} inputs:{name}.connect = </Look/{node}.outputs:out>"
-
-
-def hue_shifted(color, amount):
-    import colorsys
-
-    h, s, v = colorsys.rgb_to_hsv(*color)
-    return colorsys.hsv_to_rgb((h + amount) % 1.0, s * 0.5, v * 0.75)
-
-
-U, V = u_and_v()
-SHAPES = {
-    "mix": (
-        [COLOR[0].format("bg"), OTHER[0].format("fg"), connect("float", "mix", "U")],
-        mix(COLOR[1], OTHER[1], U[:, None]),
-    ),
-    "clamp": (
-        [connect("float", "in", "U"), "float inputs:low = 0.3", "float inputs:high = 0.6"],
-        np.clip(U, 0.3, 0.6),
-    ),
-    "remap": (
-        [
-            connect("float", "in", "U"),
-            "float inputs:inlow = 0.1",
-            "float inputs:outlow = 2",
-            "float inputs:outhigh = 3",
-        ],
-        2 + (U - 0.1) / 0.9,
-    ),
-    "range": (
-        [
-            connect("float", "in", "U"),
-            "float inputs:gamma = 2",
-            "float inputs:outhigh = 3",
-            "bool inputs:doclamp = 1",
-        ],
-        np.clip(3 * U**0.5, 0, 3),
-    ),
-    "smoothstep": (
-        [connect("float", "in", "U"), "float inputs:low = 0.2", "float inputs:high = 0.7"],
-        (lambda x: x * x * (3 - 2 * x))(np.clip((U - 0.2) / 0.5, 0, 1)),
-    ),
-    "contrast": ([connect("float", "in", "U"), "float inputs:amount = 0.5"], (U - 0.5) * 0.5 + 0.5),
-    "ifgreater": (
-        [
-            connect("float", "value1", "U"),
-            "float inputs:value2 = 0.5",
-            "float inputs:in1 = 1",
-            connect("float", "in2", "V"),
-        ],
-        np.where(U > 0.5, 1, V),
-    ),
-    "ifgreatereq": (
-        [
-            connect("float", "value1", "U"),
-            "float inputs:value2 = 0.5",
-            "float inputs:in1 = 1",
-            connect("float", "in2", "V"),
-        ],
-        np.where(U >= 0.5, 1, V),
-    ),
-    "ramplr": (
-        [COLOR[0].format("valuel"), OTHER[0].format("valuer"), connect("float2", "texcoord", "ST")],
-        mix(COLOR[1], OTHER[1], U[:, None]),
-    ),
-    "ramptb": ([COLOR[0].format("valuet"), OTHER[0].format("valueb")], mix(COLOR[1], OTHER[1], V[:, None])),
-    "ramp4": (
-        [COLOR[0].format("valuetl"), OTHER[0].format("valuetr"), COLOR[0].format("valuebr")],
-        mix(mix(COLOR[1], OTHER[1], U[:, None]), mix(0, COLOR[1], U[:, None]), V[:, None]),
-    ),
-    "splitlr": (
-        [COLOR[0].format("valuel"), OTHER[0].format("valuer"), "float inputs:center = 0.3"],
-        np.where((U < 0.3)[:, None], COLOR[1], OTHER[1]),
-    ),
-    "combine3": (
-        [connect("float", "in1", "V"), "float inputs:in2 = 0.5", connect("float", "in3", "U")],
-        np.stack([V, np.full(3, 0.5), U], axis=1),
-    ),
-    "saturate": (
-        [COLOR[0].format("in"), connect("float", "amount", "U")],
-        mix(COLOR[1] @ [0.2722287, 0.6740818, 0.0536895], COLOR[1], U[:, None]),
-    ),
-    "hsvadjust": (
-        [COLOR[0].format("in"), connect("float3", "amount", "A")],
-        np.array([hue_shifted(COLOR[1], u) for u in U]),
-    ),
-    "switch": (
-        [COLOR[0].format("in1"), OTHER[0].format("in2"), connect("float", "which", "W")],
-        np.where((U * 1.5 < 1)[:, None], COLOR[1], OTHER[1]),
-    ),
-    "screen": (
-        [COLOR[0].format("bg"), OTHER[0].format("fg"), connect("float", "mix", "U")],
-        mix(COLOR[1], 1 - (1 - COLOR[1]) * (1 - OTHER[1]), U[:, None]),
-    ),
-}
-HELPERS = shader(
-    "A",
-    "ND_combine3_vector3",
-    connect("float", "in1", "U"),
-    "float inputs:in2 = 0.5",
-    "float inputs:in3 = 0.75",
-    "vector3f outputs:out",
-) + shader(
-    "W", "ND_multiply_float", connect("float", "in1", "U"), "float inputs:in2 = 1.5", "float outputs:out"
-)
-
-
-@pytest.mark.parametrize("name", SHAPES)
-def test_shaping_nodes(name):
-    lines, wanted = SHAPES[name]
-    kind = "color3f" if wanted.ndim == 2 else "float"
-    suffix = "color3" if wanted.ndim == 2 else "float"
-    node = shader("N", f"ND_{name}_{suffix}", *lines, f"{kind} outputs:out")
-    got = looked_up(glowing(matx(ST, S, T, HELPERS, node), "N.outputs:out"), POINTS)
-    np.testing.assert_allclose(
-        got, wanted if wanted.ndim == 2 else wanted[:, None].repeat(3, 1), rtol=1e-5, atol=1e-6
-    )
-
-
-def test_place2d_and_rotate2d():
-    place = shader(
-        "N",
-        "ND_place2d_vector2",
-        connect("float2", "texcoord", "ST"),
-        "float2 inputs:pivot = (0.5, 0.5)",
-        "float2 inputs:scale = (0.5, 2)",
-        "float inputs:rotate = 30",
-        "float2 inputs:offset = (-2, -3)",
-        "float2 outputs:out",
-    )
-    got = looked_up(glowing(matx(ST, place), "N.outputs:out"), POINTS)
-    x, y = ((np.array(POINTS) - 0.5) / [0.5, 2]).T
-    c, s = np.cos(np.radians(30)), np.sin(np.radians(30))
-    wanted = np.stack([c * x + s * y, -s * x + c * y], axis=1) + [2, 3] + 0.5
-    np.testing.assert_allclose(got[:, :2], wanted, rtol=1e-5)
-
-
-def test_vectors():
-    nodes = shader(
-        "N",
-        "ND_crossproduct_vector3",
-        connect("vector3f", "in1", "A"),
-        "vector3f inputs:in2 = (0, 0, 1)",
-        "vector3f outputs:out",
-    ) + shader("D", "ND_normalize_vector3", connect("vector3f", "in", "N"), "vector3f outputs:out")
-    shifted = shader(
-        "P",
-        "ND_add_vector3FA",
-        connect("vector3f", "in1", "D"),
-        "float inputs:in2 = 2",
-        "vector3f outputs:out",
-    )
-    got = looked_up(glowing(matx(ST, S, T, HELPERS, nodes, shifted), "P.outputs:out"), POINTS)
-    cross = np.cross(np.stack([U, np.full(3, 0.5), np.full(3, 0.75)], 1), [0, 0, 1])
-    np.testing.assert_allclose(got, cross / np.linalg.norm(cross, axis=1)[:, None] + 2, rtol=1e-5)
-
-
 def mtlx_image(file: Path, identifier: str, kind: str, *lines: str) -> str:
     return ST + shader(
         "T",
@@ -790,6 +564,86 @@ def test_materialx_images(tmp_path):
     np.testing.assert_allclose(got, texels[:1, 1], rtol=1e-6)
 
 
+ADDRESSED = {
+    "clamp": lambda x: np.clip(x, 0.0, 1.0),
+    "mirror": lambda x: 1.0 - np.abs(1.0 - np.mod(x, 2.0)),
+    "periodic": lambda x: np.mod(x, 1.0),
+}
+
+
+@pytest.mark.parametrize("mode", ADDRESSED)
+def test_materialx_address_modes(tmp_path, mode):
+    """Of one axis; the other one repeats."""
+    texels = RNG.random((2, 3, 3))
+    file = write(tmp_path / "a.exr", texels, "float")
+    st = np.array([(-0.3, 0.25), (1.4, 0.75), (0.6, 1.25), (2.2, -0.25)])
+    for axis, word in enumerate("uv"):
+        words = (f'string inputs:{word}addressmode = "{mode}"', 'string inputs:filtertype = "closest"')
+        got = looked_up(glowing(mtlx_image(file, "ND_image_color3", "color3f", *words), "T.outputs:out"), st)
+        s, t = (ADDRESSED[mode if i == axis else "periodic"](st[:, i]) for i in (0, 1))
+        columns, rows = (
+            np.minimum(np.floor(s * 3), 2).astype(int),
+            np.minimum(np.floor((1 - t) * 2), 1).astype(int),
+        )
+        np.testing.assert_allclose(got, texels[rows, columns], rtol=1e-6)
+
+
+NOT_READ = {
+    'string inputs:filtertype = "cubic"': (
+        "inputs:filtertype: 'cubic' is none of closest, linear; 'linear' is used"
+    ),
+    'string inputs:layer = "skin"': "inputs:layer: 'skin' is not read; the first channels of the file are used",
+    'string inputs:framerange = "1-9"': (
+        "inputs:framerange: '1-9' is not read; the file that is named is used in every frame"
+    ),
+    "int inputs:frameoffset = 5": "inputs:frameoffset: '5' is not read; the file that is named is used in every frame",
+    'string inputs:frameendaction = "clamp"': (
+        "inputs:frameendaction: 'clamp' is not read; the file that is named is used in every frame"
+    ),
+    'string inputs:uaddressmode = "wrap"': (
+        "inputs:uaddressmode: 'wrap' is none of constant, clamp, periodic, mirror; 'periodic' is used"
+    ),
+    'string inputs:vaddressmode = "tile"': (
+        "inputs:vaddressmode: 'tile' is none of constant, clamp, periodic, mirror; 'periodic' is used"
+    ),
+}
+
+
+@pytest.mark.parametrize("line", NOT_READ)
+def test_what_materialx_images_do_not_read_is_said(tmp_path, flat, line):
+    file = write(tmp_path / "a.exr", RNG.random((2, 3, 3)), "float")
+    kinds = ("image",) if "addressmode" in line else ("image", "tiledimage")
+    for kind in kinds:
+        text = mtlx_image(file, f"ND_{kind}_color3", "color3f", line)
+        assert flat(glowing(text, "T.outputs:out")).warnings == [("/Look/T", NOT_READ[line])]
+    plain = ('string inputs:layer = ""', 'string inputs:framerange = ""', "int inputs:frameoffset = 0")
+    text = mtlx_image(file, "ND_image_color3", "color3f", *plain, 'string inputs:filtertype = "closest"')
+    assert flat(glowing(text, "T.outputs:out")).warnings == []
+
+
+def test_wrap_modes_that_are_none_are_said(tmp_path, flat):
+    file = write(tmp_path / "a.exr", RNG.random((2, 3, 3)), "float")
+    text = texture(file, 'token inputs:wrapS = "periodic"', 'token inputs:wrapT = "repeat"')
+    said = (
+        "inputs:wrapS: 'periodic' is none of black, clamp, repeat, mirror, useMetadata; 'useMetadata' is used"
+    )
+    assert flat(glowing(text, "T.outputs:rgb")).warnings == [("/Look/T", said)]
+
+
+def test_the_materialx_twin_of_the_preview_texture_repeats(tmp_path, flat):
+    """Its words and defaults are MaterialX's: `periodic`, the coordinates of the mesh."""
+    texels = RNG.random((2, 3, 3))
+    file = write(tmp_path / "a.exr", texels, "float")
+    for words in ((), ('string inputs:wrapS = "periodic"',)):
+        node = shader(
+            "T", "ND_UsdUVTexture_23", f"asset inputs:file = @{file}@", *words, "color3f outputs:rgb"
+        )
+        assert flat(glowing(node, "T.outputs:rgb")).warnings == []
+        shifted = [(s + 1, t - 2) for s, t in centres(3, 2)]
+        got = looked_up(glowing(node, "T.outputs:rgb"), shifted)
+        np.testing.assert_allclose(got, texels.reshape(-1, 3), rtol=1e-4)
+
+
 def test_materialx_colors_of_eight_bits_are_srgb_and_floats_are_data(tmp_path):
     texels = RNG.random((2, 3, 3))
     file = write(tmp_path / "a.png", texels)
@@ -812,6 +666,27 @@ def test_materialx_tiled_image(tmp_path):
     np.testing.assert_allclose(
         looked_up(glowing(text, "T.outputs:out"), wanted), texels.reshape(-1, 3), rtol=1e-4
     )
+
+
+def test_materialx_tiles_of_real_size(tmp_path):
+    """A tile of (0.5, 2) showing an image of (0.25, 4): coordinates are scaled by size over size."""
+    texels = RNG.random((2, 3, 3))
+    file = write(tmp_path / "a.exr", texels, "float")
+    words = ("float2 inputs:realworldimagesize = (0.25, 4)", "float2 inputs:realworldtilesize = (0.5, 2)")
+    text = mtlx_image(file, "ND_tiledimage_color3", "color3f", *words)
+    wanted = [(s * 0.25 / 0.5, t * 4 / 2) for s, t in centres(3, 2)]
+    np.testing.assert_allclose(
+        looked_up(glowing(text, "T.outputs:out"), wanted), texels.reshape(-1, 3), rtol=1e-4
+    )
+
+
+def test_files_that_nodes_drive_are_said(flat):
+    name = shader(
+        "P", "ND_geompropvalueuniform_filename", 'string inputs:geomprop = "map"', "asset outputs:out"
+    )
+    text = shader("T", "ND_image_color3", connect("asset", "file", "P"), "color3f outputs:out")
+    warnings = flat(glowing(name + text, "T.outputs:out")).warnings
+    assert warnings == [("/Look/T", "inputs:file: a node drives it; the fallback is used")]
 
 
 def test_node_graphs_with_interfaces(tmp_path):

@@ -1,13 +1,17 @@
 """The nodes of a stage behind a shader's inputs, through node graphs and their interfaces."""
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
-from pxr import Sdf, Usd, UsdShade
+from pxr import Gf, Sdf, Usd, UsdShade
 
 from .images import find_images, wrap_modes
+from .materialx_colors import COLOR_NODES
 from .materialx_nodes import MATERIALX_NODES
+from .materialx_ramps import RAMP_NODES
 from .materialx_textures import TEXTURE_NODES
+from .materialx_vectors import VECTOR_NODES
 from .network import Network, Unsupported, Value, constant
 from .nodes import Handler, Node
 from .reading import Reader
@@ -15,7 +19,14 @@ from .usd_nodes import USD_NODES
 
 Fields = dict[str, Any]
 
-HANDLERS: dict[str, Handler] = {**USD_NODES, **MATERIALX_NODES, **TEXTURE_NODES}
+HANDLERS: dict[str, Handler] = {
+    **USD_NODES,
+    **MATERIALX_NODES,
+    **COLOR_NODES,
+    **VECTOR_NODES,
+    **TEXTURE_NODES,
+    **RAMP_NODES,
+}
 """What computes a node, by category."""
 
 
@@ -183,7 +194,23 @@ class StageNode:
 
     def number(self, name: str, default: float) -> float:
         value = self.plain(name)
-        return default if value is None or isinstance(value, str) else float(value)
+        if value is None or isinstance(value, str):
+            return default
+        found = number(value, name).numbers()
+        if len(found) > 1 or not math.isfinite(found[0]):
+            raise Unsupported(f"inputs:{name} is no number")
+        return found[0]
+
+    def matrix(self, name: str) -> list[list[float]] | None:
+        value = self.plain(name)
+        if value is None:
+            return None
+        if not isinstance(value, (Gf.Matrix3d, Gf.Matrix4d)):
+            raise Unsupported(f"inputs:{name} is no matrix")
+        return [list(row) for row in value]
+
+    def warn(self, name: str, message: str) -> None:
+        self.graph.reader.warn(self.prim, f"inputs:{name}: {message}")
 
     def plain(self, name: str) -> Any:
         """The value of an input that nodes cannot drive."""
@@ -200,7 +227,7 @@ class StageNode:
         source = self.graph.source(shader_input) if shader_input else None
         reader = self.graph.reader
         if source is None or self.graph.is_output(source):
-            reader.warn(self.prim, f"inputs:{file}: no file; the fallback is used")
+            self.warn(file, f"{'no file' if source is None else 'a node drives it'}; the fallback is used")
             return {"node": "image", **node, "tiles": []}
         for name in ("layer", "framerange"):
             if self.token(name, ""):

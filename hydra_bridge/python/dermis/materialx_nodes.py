@@ -1,15 +1,9 @@
-"""What each of MaterialX's nodes computes of its inputs alone, in the words of `network`, by the node graphs and shader
-code of its standard library.
+"""What MaterialX's nodes compute of numbers, channels and conditions, in the words of `network`, by the node graphs and
+shader code of its standard library; hair.
 """
 
-from collections.abc import Callable
-
-from .network import Network, Unsupported, Value, constant
+from .network import Unsupported, Value, constant
 from .nodes import HALF, ONE, ZERO, Handler, Node
-
-LUMA = constant((0.2722287, 0.6740818, 0.0536895))
-"""Default of MaterialX: ACEScg."""
-
 
 # Arithmetic.
 
@@ -21,9 +15,9 @@ def binary(operation: str, second: float) -> Handler:
     return handler
 
 
-def unary(operation: str) -> Handler:
+def unary(operation: str, default: float = 0.0) -> Handler:
     def handler(node: Node) -> Value:
-        return node.network.math(operation, node.get("in", ZERO))
+        return node.network.math(operation, node.get("in", constant(default)))
 
     return handler
 
@@ -44,8 +38,13 @@ def fract(node: Node) -> Value:
 
 
 def safepower(node: Node) -> Value:
-    n, a = node.network, node.get("in1", ZERO)
-    return n.multiply(n.math("sign", a), n.math("power", n.math("absval", a), node.get("in2", ONE)))
+    return node.network.signed_power(node.get("in1", ZERO), node.get("in2", ONE))
+
+
+def trianglewave(node: Node) -> Value:
+    n = node.network
+    x = n.math("modulo", n.math("absval", node.get("in", ZERO)), ONE)
+    return n.subtract(HALF, n.math("absval", n.subtract(x, HALF)))
 
 
 def clamp(node: Node) -> Value:
@@ -71,8 +70,7 @@ def range_node(node: Node) -> Value:
     n, share = node.network, fitted(node)
     gamma = node.get("gamma", ONE)
     if gamma.lanes is None or set(gamma.numbers()) != {1.0}:
-        power = n.math("power", n.math("absval", share), n.divide(ONE, gamma))
-        share = n.multiply(n.math("sign", share), power)
+        share = n.signed_power(share, n.divide(ONE, gamma))
     out = stretched(node, share)
     if not node.number("doclamp", 0):
         return out
@@ -82,8 +80,7 @@ def range_node(node: Node) -> Value:
 def smoothstep(node: Node) -> Value:
     n, low, high = node.network, node.get("low", ZERO), node.get("high", ONE)
     x = n.divide(n.subtract(node.get("in", ZERO), low), n.subtract(high, low))
-    x = n.clamp(x, ZERO, ONE)
-    return n.multiply(n.multiply(x, x), n.subtract(constant(3.0), n.multiply(constant(2.0), x)))
+    return n.smooth(n.clamp(x, ZERO, ONE))
 
 
 def mix(node: Node) -> Value:
@@ -91,26 +88,48 @@ def mix(node: Node) -> Value:
 
 
 def choice(operation: str, a: str, b: str, then: str, other: str) -> Handler:
+    first = ZERO if operation == "ifequal" else ONE
+
     def handler(node: Node) -> Value:
-        values = {"value1": node.get("value1", ONE), "value2": node.get("value2", ZERO)}
-        inputs = {"in1": node.get("in1", ZERO), "in2": node.get("in2", ZERO)}
+        values = {"value1": node.get("value1", first), "value2": node.get("value2", ZERO)}
+        # What gives a boolean has nothing to choose from.
+        yes = ONE if "_boolean" in node.identifier else ZERO
+        inputs = {"in1": node.get("in1", yes), "in2": node.get("in2", ZERO)}
         return node.network.math(operation, values[a], values[b], inputs[then], inputs[other])
 
     return handler
 
 
 def switch(node: Node) -> Value:
-    n = node.network
-    which = node.get("which", ZERO)
-    which = n.math("floor", which)
-    value = ZERO
-    for i in reversed(range(10)):
-        if node.has(f"in{i + 1}"):
-            value = n.math("ifequal", which, constant(float(i)), node.get(f"in{i + 1}", ZERO), value)
+    """The first below 1, the second below 2 and so on, zero from 10 on."""
+    which, value = node.get("which", ZERO), ZERO
+    last = max((i for i in range(1, 11) if node.has(f"in{i}")), default=0)
+    for i in range(last, 0, -1):
+        value = node.network.greater(constant(float(i)), which, node.get(f"in{i}", ZERO), value)
     return value
 
 
-# Vectors and colours.
+# Booleans: 0 and 1.
+
+
+def both(node: Node) -> Value:
+    return node.network.multiply(node.get("in1", ZERO), node.get("in2", ZERO))
+
+
+def either(node: Node) -> Value:
+    return node.network.math("max", node.get("in1", ZERO), node.get("in2", ZERO))
+
+
+def one_alone(node: Node) -> Value:
+    n = node.network
+    return n.math("absval", n.subtract(node.get("in1", ZERO), node.get("in2", ZERO)))
+
+
+def negated(node: Node) -> Value:
+    return node.network.subtract(ONE, node.get("in", ZERO))
+
+
+# Channels.
 
 
 def combine(node: Node) -> Value:
@@ -158,74 +177,6 @@ def convert(node: Node) -> Value:
 
 def through(node: Node) -> Value:
     return node.get("in", ZERO)
-
-
-def luminance_of(node: Node) -> Value:
-    value = node.get("in", ZERO)
-    weights = node.network.resized(node.get("lumacoeffs", LUMA), 3)
-    return node.network.dot(node.network.resized(value, 3), weights)
-
-
-def luminance(node: Node) -> Value:
-    grey, value = luminance_of(node), node.get("in", ZERO)
-    if node.width < 4:
-        return node.network.gather(*[(grey, 0)] * node.width)
-    return node.network.gather((grey, 0), (grey, 0), (grey, 0), (value, 3))
-
-
-def saturate(node: Node) -> Value:
-    return node.network.mix(luminance(node), node.get("in", ZERO), node.get("amount", ONE))
-
-
-def contrast(node: Node) -> Value:
-    n, pivot = node.network, node.get("pivot", HALF)
-    return n.add(n.multiply(n.subtract(node.get("in", ZERO), pivot), node.get("amount", ONE)), pivot)
-
-
-def hsvadjust(node: Node) -> Value:
-    n, amount = node.network, node.get("amount", constant((0.0, 1.0, 1.0)))
-    color = node.get("in", ZERO)
-    hsv = n.math("rgbtohsv", color)
-    parts = [n.add(n.lane(hsv, 0), n.lane(amount, 0))]
-    parts += [n.multiply(n.lane(hsv, i), n.lane(amount, i)) for i in (1, 2)]
-    alpha = [(color, 3)] if color.width == 4 else []
-    return n.math("hsvtorgb", n.gather(*((part, 0) for part in parts), *alpha))
-
-
-def magnitude(node: Node) -> Value:
-    return node.network.length(node.get("in", ZERO))
-
-
-def distance(node: Node) -> Value:
-    return node.network.length(node.network.subtract(node.get("in1", ZERO), node.get("in2", ZERO)))
-
-
-def normalize(node: Node) -> Value:
-    value = node.get("in", ZERO)
-    return node.network.divide(value, node.network.length(value))
-
-
-def dotproduct(node: Node) -> Value:
-    return node.network.dot(node.get("in1", ZERO), node.get("in2", ZERO))
-
-
-def crossproduct(node: Node) -> Value:
-    return node.network.cross(node.get("in1", ZERO), node.get("in2", ZERO))
-
-
-# Compositing: an operation on background and foreground, by share.
-
-
-def blend(operation: Callable[[Network, Value, Value], Value]) -> Handler:
-    def handler(node: Node) -> Value:
-        back, front = node.get("bg", ZERO), node.get("fg", ZERO)
-        return node.network.mix(back, operation(node.network, back, front), node.get("mix", ONE))
-
-    return handler
-
-
-def screen(n: Network, back: Value, front: Value) -> Value:
-    return n.subtract(ONE, n.multiply(n.subtract(ONE, front), n.subtract(ONE, back)))
 
 
 # Hair (MaterialX PBS).
@@ -297,7 +248,8 @@ MATERIALX_NODES: dict[str, Handler] = {
     "power": binary("power", 1.0),
     "min": binary("min", 0.0),
     "max": binary("max", 0.0),
-    **{name: unary(name) for name in ("absval", "sign", "floor", "ceil", "round", "sqrt", "exp", "ln")},
+    **{name: unary(name) for name in ("absval", "sign", "floor", "ceil", "round", "sqrt", "exp")},
+    "ln": unary("ln", 1.0),
     **{name: unary(name) for name in ("sin", "cos", "tan", "asin", "acos", "rgbtohsv", "hsvtorgb")},
     "atan2": atan2,
     "invert": invert,
@@ -312,6 +264,11 @@ MATERIALX_NODES: dict[str, Handler] = {
     "ifgreatereq": choice("ifgreater", "value2", "value1", "in2", "in1"),
     "ifequal": choice("ifequal", "value1", "value2", "in1", "in2"),
     "switch": switch,
+    "trianglewave": trianglewave,
+    "logical_and": both,
+    "logical_or": either,
+    "logical_xor": one_alone,
+    "logical_not": negated,
     "combine2": combine,
     "combine3": combine,
     "combine4": combine,
@@ -322,19 +279,6 @@ MATERIALX_NODES: dict[str, Handler] = {
     "swizzle": swizzle,
     "convert": convert,
     "dot": through,
-    "luminance": luminance,
-    "saturate": saturate,
-    "contrast": contrast,
-    "hsvadjust": hsvadjust,
-    "magnitude": magnitude,
-    "distance": distance,
-    "normalize": normalize,
-    "dotproduct": dotproduct,
-    "crossproduct": crossproduct,
-    "plus": blend(lambda n, back, front: n.add(back, front)),
-    "minus": blend(lambda n, back, front: n.subtract(back, front)),
-    "difference": blend(lambda n, back, front: n.math("absval", n.subtract(back, front))),
-    "screen": blend(screen),
     "chiang_hair_roughness": hair_roughness,
     "chiang_hair_absorption_from_color": hair_absorption_from_color,
     "deon_hair_absorption_from_melanin": hair_absorption_from_melanin,

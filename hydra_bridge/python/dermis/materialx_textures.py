@@ -1,12 +1,14 @@
-"""What each of MaterialX's nodes computes by the place on the surface: primvars, images, ramps, texture space. Noise,
+"""What each of MaterialX's nodes computes by the place on the surface: primvars, images, texture space. Noise,
 geometry and procedural patterns are not here.
 """
 
 from .network import Unsupported, Value, constant
-from .nodes import HALF, ONE, ZERO, Handler, Node, read_primvar
+from .nodes import ZERO, Handler, Node, chosen, default_st, read_primvar
 
 
 def geompropvalue(node: Node) -> Value:
+    if node.identifier.endswith(("_string", "_filename")):
+        raise Unsupported("only numbers and vectors can drive an input")
     name = node.token("geomprop", "")
     if not name:
         raise Unsupported("its geomprop is empty")
@@ -19,11 +21,9 @@ def texcoord(node: Node) -> Value:
     return node.network.primvar(node.width, name, node.network.resized(ZERO, node.width))
 
 
-def default_st(node: Node) -> Value:
-    return node.network.primvar(2, "st", constant((0.0, 0.0)))
-
-
 def geomcolor(node: Node) -> Value:
+    if node.number("index", 0):
+        raise Unsupported("only its index 0, displayColor, is read")
     return read_primvar(node, "displayColor", node.network.resized(ZERO, node.width))
 
 
@@ -32,11 +32,22 @@ def geomcolor(node: Node) -> Value:
 
 ADDRESS_MODES = {"constant": "black", "clamp": "clamp", "periodic": "repeat", "mirror": "mirror"}
 
+NOT_READ = {
+    "layer": ("", "the first channels of the file are used"),
+    "framerange": ("", "the file that is named is used in every frame"),
+    "frameoffset": ("0", "the file that is named is used in every frame"),
+    "frameendaction": ("constant", "the file that is named is used in every frame"),
+}
+"""Inputs of images: the default, and what is done instead of what they say."""
+
 
 def image(node: Node) -> Value:
     st = node.get("texcoord", ZERO) if node.has("texcoord") else default_st(node)
-    modes = [ADDRESS_MODES.get(node.token(f"{axis}addressmode", "periodic"), "repeat") for axis in "uv"]
-    return sampled(node, st, *modes)
+    return sampled(
+        node,
+        st,
+        *(ADDRESS_MODES[chosen(node, f"{axis}addressmode", "periodic", ADDRESS_MODES)] for axis in "uv"),
+    )
 
 
 def tiledimage(node: Node) -> Value:
@@ -51,6 +62,10 @@ def tiledimage(node: Node) -> Value:
 
 def sampled(node: Node, st: Value, wrap_s: str, wrap_t: str) -> Value:
     network = node.network
+    for name, (idle, instead) in NOT_READ.items():
+        word = node.token(name, idle)
+        if word != idle:
+            node.warn(name, f"'{word}' is not read; {instead}")
     default = network.resized(node.get("default", ZERO), max(node.width, 1))
     if default.lanes is None:
         raise Unsupported("its default is not constant")
@@ -59,7 +74,7 @@ def sampled(node: Node, st: Value, wrap_s: str, wrap_t: str) -> Value:
         "wrapT": wrap_t,
         "border": list(default.lanes),
         "fallback": list(default.lanes),
-        "closest": node.token("filtertype", "linear") == "closest",
+        "closest": chosen(node, "filtertype", "linear", ("closest", "linear")) == "closest",
         "st": network.index(st),
     }
     # Colours without a word are what UsdUVTexture takes them for; floats and vectors are data.
@@ -94,38 +109,6 @@ def place2d(node: Node) -> Value:
     return n.add(st, pivot)
 
 
-def ramp_st(node: Node) -> tuple[Value, Value]:
-    n = node.network
-    st = node.get("texcoord", ZERO) if node.has("texcoord") else default_st(node)
-    st = n.clamp(st, ZERO, ONE)
-    return n.lane(st, 0), n.lane(st, 1)
-
-
-def ramplr(node: Node) -> Value:
-    return node.network.mix(node.get("valuel", ZERO), node.get("valuer", ZERO), ramp_st(node)[0])
-
-
-def ramptb(node: Node) -> Value:
-    # The top is at t = 0, as in MaterialX's shader code.
-    return node.network.mix(node.get("valuet", ZERO), node.get("valueb", ZERO), ramp_st(node)[1])
-
-
-def ramp4(node: Node) -> Value:
-    n, (s, t) = node.network, ramp_st(node)
-    top = n.mix(node.get("valuetl", ZERO), node.get("valuetr", ZERO), s)
-    return n.mix(top, n.mix(node.get("valuebl", ZERO), node.get("valuebr", ZERO), s), t)
-
-
-def split(first: str, second: str, axis: int) -> Handler:
-    def handler(node: Node) -> Value:
-        n = node.network
-        st = node.get("texcoord", ZERO) if node.has("texcoord") else default_st(node)
-        a, b = node.get(first, ZERO), node.get(second, ZERO)
-        return n.greater(node.get("center", HALF), n.lane(st, axis), a, b)
-
-    return handler
-
-
 TEXTURE_NODES: dict[str, Handler] = {
     "texcoord": texcoord,
     "geompropvalue": geompropvalue,
@@ -135,9 +118,4 @@ TEXTURE_NODES: dict[str, Handler] = {
     "tiledimage": tiledimage,
     "rotate2d": rotate2d,
     "place2d": place2d,
-    "ramplr": ramplr,
-    "ramptb": ramptb,
-    "ramp4": ramp4,
-    "splitlr": split("valuel", "valuer", 0),
-    "splittb": split("valuet", "valueb", 1),
 }

@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from .reading import FLOAT32_MAX
+
 Lanes = tuple[float, float, float, float]
 
 
@@ -43,9 +45,11 @@ class Network:
         self._known: dict[str, int] = {}
 
     def index(self, value: Value) -> int:
-        """The node of a value; a constant becomes one."""
+        """The node of a value; a constant becomes one. Raises Unsupported where it is not finite."""
         if value.lanes is None:
             return value.index
+        if not all(abs(x) <= FLOAT32_MAX for x in value.lanes):
+            raise Unsupported("what is constant of it is not finite")
         return self._add({"node": "constant", "value": [float(np.float32(x)) for x in value.lanes]})
 
     def _add(self, node: dict[str, Any]) -> int:
@@ -65,7 +69,10 @@ class Network:
         if all(arg.lanes is not None for arg in args):
             with np.errstate(all="ignore"):
                 lanes = OPERATIONS[op](*(np.array(arg.lanes, np.float64) for arg in args))
-            return Value(width, tuple(float(x) for x in lanes))
+            # Beyond the width anything may come out, 0 / 0 too.
+            return Value(
+                width, tuple(float(x) if width == 1 or i < width else 0.0 for i, x in enumerate(lanes))
+            )
         neutral = NEUTRAL.get(op)
         second = args[1].lanes if neutral is not None and args[0].width == width else None
         if second is not None and all(x == neutral for x in second[:width]):
@@ -108,6 +115,19 @@ class Network:
 
     def greater(self, a: Value, b: Value, then: Value, other: Value) -> Value:
         return self.math("ifgreater", a, b, then, other)
+
+    def smooth(self, x: Value) -> Value:
+        """Hermite's step, of x in 0..1."""
+        return self.multiply(
+            self.multiply(x, x), self.subtract(constant(3.0), self.multiply(constant(2.0), x))
+        )
+
+    def signed_power(self, a: Value, exponent: Value) -> Value:
+        return self.multiply(self.math("sign", a), self.math("power", self.math("absval", a), exponent))
+
+    def with_alpha(self, color: Value, alpha: Value) -> Value:
+        """A colour, and the fourth lane of another one."""
+        return self.gather((color, 0), (color, 1), (color, 2), (alpha, 3))
 
     def lane(self, a: Value, i: int) -> Value:
         return a if a.width == 1 else self.gather((a, i))

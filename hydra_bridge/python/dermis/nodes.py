@@ -1,11 +1,14 @@
 """A node of a shading network as its handlers see it, and what the handlers of several libraries share."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, Protocol
 
 from .network import Network, Value, constant
 
 ZERO, ONE, HALF = constant(0.0), constant(1.0), constant(0.5)
+
+TINY = constant(1e-8)
+"""MaterialX's M_FLOAT_EPS: what it takes for zero."""
 
 
 class Node(Protocol):
@@ -30,6 +33,14 @@ class Node(Protocol):
         """An input that must be constant."""
         ...
 
+    def matrix(self, name: str) -> list[list[float]] | None:
+        """The rows of an input that is a constant matrix; None where there is none."""
+        ...
+
+    def warn(self, name: str, message: str) -> None:
+        """Something to say of an input."""
+        ...
+
     def has(self, name: str) -> bool:
         """Whether an input is authored or connected."""
         ...
@@ -40,6 +51,19 @@ class Node(Protocol):
 
 
 Handler = Callable[[Node], Value]
+
+
+def chosen(node: Node, name: str, default: str, words: Iterable[str]) -> str:
+    """One of `words`; the default, with a warning, where the input says something else."""
+    word = node.token(name, default)
+    if word in words:
+        return word
+    node.warn(name, f"'{word}' is none of {', '.join(words)}; '{default}' is used")
+    return default
+
+
+def default_st(node: Node) -> Value:
+    return node.network.primvar(2, "st", constant((0.0, 0.0)))
 
 
 def read_primvar(node: Node, name: str, fallback: Value) -> Value:

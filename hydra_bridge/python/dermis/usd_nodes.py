@@ -1,7 +1,11 @@
 """What each of UsdShade's own nodes computes, in the words of `network`."""
 
 from .network import Unsupported, Value, constant
-from .nodes import ZERO, Handler, Node, read_primvar
+from .nodes import ZERO, Handler, Node, chosen, default_st, read_primvar
+
+WRAPS = {name: name for name in ("black", "clamp", "repeat", "mirror", "useMetadata")}
+TWIN_WRAPS = {"black": "black", "clamp": "clamp", "periodic": "repeat", "mirror": "mirror"}
+"""Of MaterialX's `ND_UsdUVTexture`."""
 
 
 def primvar_reader(node: Node) -> Value:
@@ -16,13 +20,15 @@ def primvar_reader(node: Node) -> Value:
 
 def uv_texture(node: Node) -> Value:
     network = node.network
-    st = node.get("st", constant((0.0, 0.0)))
+    twin = node.identifier.startswith("ND_")
+    wraps, wrap = (TWIN_WRAPS, "periodic") if twin else (WRAPS, "useMetadata")
+    st = default_st(node) if twin and not node.has("st") else node.get("st", constant((0.0, 0.0)))
     fallback = node.get("fallback", constant((0.0, 0.0, 0.0, 1.0)))
     if fallback.lanes is None:
         raise Unsupported("its fallback is not constant")
     words = {
-        "wrapS": node.token("wrapS", "useMetadata"),
-        "wrapT": node.token("wrapT", "useMetadata"),
+        "wrapS": wraps[chosen(node, "wrapS", wrap, wraps)],
+        "wrapT": wraps[chosen(node, "wrapT", wrap, wraps)],
         "border": [0.0, 0.0, 0.0, 0.0],
         "fallback": list(fallback.lanes),
     }
