@@ -303,8 +303,8 @@ def test_models_that_would_be_drawn_as_something_else_are_named(flat):
     body += model("C", 'kind = "group"', BOUNDS, inner=model("Part", COMPONENT))
     result = flat(body)
     assert result.warnings == [
-        ("/A", "model:drawMode: 'cards' is not drawn, the geometry is rendered instead; so is that of /B"),
-        ("/C/Part", "model:drawMode: 'bounds' is not drawn, the geometry is rendered instead"),
+        ("/A", "model:drawMode: 'cards' is not drawn; the model itself is rendered; so is /B"),
+        ("/C/Part", "model:drawMode: 'bounds' is not drawn; the model itself is rendered"),
     ]
     assert set(result.prims) == {"/A/Body", "/B/Body", "/C/Body", "/C/Part/Body"}
 

@@ -158,7 +158,8 @@ def test_materialx_files_say_what_reads_them(tmp_path):
 
 @pytest.mark.parametrize("mode", ["cards", "bounds", "origin", "default", "inherited"])
 def test_draw_modes_are_said(flat, mode):
-    text = f'def Xform "X"\n{{\n    uniform token model:drawMode = "{mode}"\n    def Sphere "S"\n    {{\n    }}\n}}\n'
+    text = f'def Xform "X" (\n    kind = "component"\n)\n{{\n    uniform token model:drawMode = "{mode}"\n'
+    text += '    def Sphere "S"\n    {\n    }\n}\n'
     found = flat(text)
     assert found.prims["/X/S"]["visible"]
     said = [f"model:drawMode: '{mode}' is not drawn; the model itself is rendered"]

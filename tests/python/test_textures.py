@@ -530,19 +530,6 @@ def mtlx_image(file: Path, identifier: str, kind: str, *lines: str) -> str:
     )
 
 
-def test_layers_and_frames_of_images_are_not_chosen_and_said(tmp_path):
-    from dermis.stage import flatten
-
-    file = write(tmp_path / "a.png", RNG.random((2, 3, 3)))
-    words = ('string inputs:layer = "diffuse"', 'string inputs:framerange = ""')
-    nodes = mtlx_image(file, "ND_image_color3", "color3f", *words)
-    st = primvar("st", "float2", [(0, 0)] * 4, "vertex")
-    flat = flatten(stage_of(glowing(nodes, "T.outputs:out") + quads(1, st)))
-    assert [message for _, message in flat.warnings] == [
-        "inputs:layer: 'diffuse' is ignored; the file as it is, is read"
-    ]
-
-
 def test_materialx_images(tmp_path):
     texels = RNG.random((2, 3, 3))
     file = write(tmp_path / "a.exr", texels, "float")
@@ -576,10 +563,13 @@ def test_materialx_address_modes(tmp_path, mode):
     """Of one axis; the other one repeats."""
     texels = RNG.random((2, 3, 3))
     file = write(tmp_path / "a.exr", texels, "float")
-    st = np.array([(-0.3, 0.25), (1.4, 0.75), (0.6, 1.25), (2.2, -0.25)])
+    points = [(-0.3, 0.25), (1.4, 0.75), (0.6, 1.25), (2.2, -0.25)]
+    st = np.array(points)
     for axis, word in enumerate("uv"):
         words = (f'string inputs:{word}addressmode = "{mode}"', 'string inputs:filtertype = "closest"')
-        got = looked_up(glowing(mtlx_image(file, "ND_image_color3", "color3f", *words), "T.outputs:out"), st)
+        got = looked_up(
+            glowing(mtlx_image(file, "ND_image_color3", "color3f", *words), "T.outputs:out"), points
+        )
         s, t = (ADDRESSED[mode if i == axis else "periodic"](st[:, i]) for i in (0, 1))
         columns, rows = (
             np.minimum(np.floor(s * 3), 2).astype(int),
@@ -587,6 +577,8 @@ def test_materialx_address_modes(tmp_path, mode):
         )
         np.testing.assert_allclose(got, texels[rows, columns], rtol=1e-6)
 
+
+ONE_ST = primvar("st", "texCoord2f", [(0.5, 0.5)])
 
 NOT_READ = {
     'string inputs:filtertype = "cubic"': (
@@ -615,10 +607,12 @@ def test_what_materialx_images_do_not_read_is_said(tmp_path, flat, line):
     kinds = ("image",) if "addressmode" in line else ("image", "tiledimage")
     for kind in kinds:
         text = mtlx_image(file, f"ND_{kind}_color3", "color3f", line)
-        assert flat(glowing(text, "T.outputs:out")).warnings == [("/Look/T", NOT_READ[line])]
+        assert flat(glowing(text, "T.outputs:out") + quads(1, ONE_ST)).warnings == [
+            ("/Look/T", NOT_READ[line])
+        ]
     plain = ('string inputs:layer = ""', 'string inputs:framerange = ""', "int inputs:frameoffset = 0")
     text = mtlx_image(file, "ND_image_color3", "color3f", *plain, 'string inputs:filtertype = "closest"')
-    assert flat(glowing(text, "T.outputs:out")).warnings == []
+    assert flat(glowing(text, "T.outputs:out") + quads(1, ONE_ST)).warnings == []
 
 
 def test_wrap_modes_that_are_none_are_said(tmp_path, flat):
@@ -627,7 +621,7 @@ def test_wrap_modes_that_are_none_are_said(tmp_path, flat):
     said = (
         "inputs:wrapS: 'periodic' is none of black, clamp, repeat, mirror, useMetadata; 'useMetadata' is used"
     )
-    assert flat(glowing(text, "T.outputs:rgb")).warnings == [("/Look/T", said)]
+    assert flat(glowing(text, "T.outputs:rgb") + quads(1, ONE_ST)).warnings == [("/Look/T", said)]
 
 
 def test_the_materialx_twin_of_the_preview_texture_repeats(tmp_path, flat):
@@ -638,7 +632,7 @@ def test_the_materialx_twin_of_the_preview_texture_repeats(tmp_path, flat):
         node = shader(
             "T", "ND_UsdUVTexture_23", f"asset inputs:file = @{file}@", *words, "color3f outputs:rgb"
         )
-        assert flat(glowing(node, "T.outputs:rgb")).warnings == []
+        assert flat(glowing(node, "T.outputs:rgb") + quads(1, ONE_ST)).warnings == []
         shifted = [(s + 1, t - 2) for s, t in centres(3, 2)]
         got = looked_up(glowing(node, "T.outputs:rgb"), shifted)
         np.testing.assert_allclose(got, texels.reshape(-1, 3), rtol=1e-4)
@@ -685,7 +679,7 @@ def test_files_that_nodes_drive_are_said(flat):
         "P", "ND_geompropvalueuniform_filename", 'string inputs:geomprop = "map"', "asset outputs:out"
     )
     text = shader("T", "ND_image_color3", connect("asset", "file", "P"), "color3f outputs:out")
-    warnings = flat(glowing(name + text, "T.outputs:out")).warnings
+    warnings = flat(glowing(name + text, "T.outputs:out") + quads(1, ONE_ST)).warnings
     assert warnings == [("/Look/T", "inputs:file: a node drives it; the fallback is used")]
 
 

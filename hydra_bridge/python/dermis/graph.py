@@ -229,12 +229,6 @@ class StageNode:
         if source is None or self.graph.is_output(source):
             self.warn(file, f"{'no file' if source is None else 'a node drives it'}; the fallback is used")
             return {"node": "image", **node, "tiles": []}
-        for name in ("layer", "framerange"):
-            if self.token(name, ""):
-                reader.warn(
-                    self.prim,
-                    f"inputs:{name}: '{self.token(name, '')}' is ignored; the file as it is, is read",
-                )
         # What the file says itself, then what the node expects.
         authored = str(source.GetColorSpace() or "")
         if space == "auto" or (authored and self.category != "UsdUVTexture"):

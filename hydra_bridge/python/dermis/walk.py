@@ -278,9 +278,9 @@ class Walk:
             others = f"; nor are {', '.join(map(str, paths[1:]))}" if paths[1:] else ""
             self.reader.warn(paths[0], f"{kind} is not rendered yet{others}")
         for mode, paths in self.drawn_as.items():
-            others = f"; so is that of {', '.join(paths[1:])}" if paths[1:] else ""
+            others = f"; so {'are' if paths[2:] else 'is'} {', '.join(paths[1:])}" if paths[1:] else ""
             self.reader.warn(
-                paths[0], f"model:drawMode: '{mode}' is not drawn, the geometry is rendered instead{others}"
+                paths[0], f"model:drawMode: '{mode}' is not drawn; the model itself is rendered{others}"
             )
 
 
@@ -308,16 +308,7 @@ def descend(prim: Usd.Prim, context: Context, reader: Reader) -> Context:
         changes["collections"] = context.collections or any("binding:collection" in name for name in names)
     if any(name.startswith("skel:") for name in names):
         changes["skel"] = skel_bindings(prim, context)
-    if "model:drawMode" in names:
-        warn_draw_mode(prim, reader)
     return replace(context, **changes) if changes else context
-
-
-def warn_draw_mode(prim: Usd.Prim, reader: Reader) -> None:
-    """Stand-ins for models are for viewports, but usdrecord draws them, too."""
-    mode = reader.value(prim, "model:drawMode", "inherited")
-    if mode not in ("inherited", "default"):
-        reader.warn(prim, f"model:drawMode: '{mode}' is not drawn; the model itself is rendered")
 
 
 def skel_bindings(prim: Usd.Prim, context: Context) -> tuple:
