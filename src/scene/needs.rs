@@ -86,7 +86,8 @@ impl Needs {
     /// Whether bodies that light gets into, or of one set, may be around others.
     pub fn is_nested(&self) -> bool {
         let open = self.clear_media + self.dielectric_media + self.index_matched_media;
-        open > 0 && open + self.diffuse_media > 1 || self.in_sets > 0
+        // One medium may be placed twice: its hosts are.
+        open > 0 && (open + self.diffuse_media > 1 || self.hosts > 0) || self.in_sets > 0
     }
 
     fn moves(&self) -> bool {

@@ -211,3 +211,48 @@ def test_explain_says_what_is_nested(usd_scenes):
     )
     assert lines["subsurface sets"]["on"] and lines["subsurface sets"]["why"].startswith("3 placements")
     assert not lines["camera in a medium"]["on"]
+
+
+PLACED = """
+class Xform "Proto"
+{
+    def Sphere "Ball" (prepend apiSchemas = ["MaterialBindingAPI"])
+    {
+        double radius = 0.4
+        rel material:binding = </Fog>
+    }
+}
+def Material "Fog"
+{
+    token outputs:surface.connect = </Fog/S.outputs:surface>
+    def Shader "S"
+    {
+        uniform token info:id = "UsdPreviewSurface"
+        float inputs:subsurface = 1
+        color3f inputs:subsurfaceAlbedo = (1, 1, 1)
+        color3f inputs:subsurfaceRadius = (0.2, 0.2, 0.2)
+        token inputs:subsurfaceBoundary = "indexMatched"
+        token outputs:surface
+    }
+}
+def DomeLight "Sky"
+{
+}
+"""
+
+
+def test_placements_of_one_mesh_that_overlap_are_as_two_meshes(make_stage):
+    """Their caches, too, begin in the body that a point of the boundary is in: else their walks leak."""
+    images = []
+    for shared in ("true", "false"):
+        places = "".join(
+            f'def Xform "{name}" (\n    instanceable = {shared}\n    references = </Proto>\n)\n{{\n'
+            f"    double3 xformOp:translate = ({x}, 0, 0)\n"
+            '    uniform token[] xformOpOrder = ["xformOp:translate"]\n}\n'
+            for name, x in (("A", -0.25), ("B", 0.25))
+        )
+        settings = {"resolution": (8, 8), "samples": 16, "walk": "mixture"}
+        images.append(dermis.render(make_stage(PLACED + places), **settings))
+    assert [image.stats["needs"]["instanced"] for image in images] == [1, 0]
+    assert [image.stats["walks_leaked"] for image in images] == [0, 0]
+    np.testing.assert_array_equal(images[0].color, images[1].color)

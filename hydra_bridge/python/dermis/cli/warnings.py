@@ -59,7 +59,8 @@ def walk_check(stats: dict[str, Any], name: str = "image") -> list[Warning]:
     if leaked > LEAKED_SHARE * walks:
         message = (
             f"{leaked} of {walks} subsurface walks leaked and ended black: "
-            "a mesh with a medium is open or intersects itself, or the camera is inside of one"
+            "a mesh with a medium is open, intersects itself or overlaps another (primvars:dermis:subsurfaceSet joins "
+            "diffuse ones), or the camera is inside of one"
         )
         found.append((name, message))
     if too_long > ENDED_SHARE * walks or int(stats.get("paths_trapped", 0)) > ENDED_SHARE * paths:
