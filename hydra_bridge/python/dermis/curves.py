@@ -26,6 +26,9 @@ TWIST = np.radians(10.0)
 MOST_PIECES = 32
 """Of one cubic segment."""
 
+MITRE = 4.0
+"""Longest ring at a joint, over the width: tips of sharp turns would be as long as the curve."""
+
 Surface = dict[str, Any]
 Attribute = tuple[str, Floats]
 """Interpolation and values."""
@@ -239,7 +242,7 @@ def tubes(made: Tessellation, width: Floats) -> None:
     outwards = (np.pi / sides) / np.sin(np.pi / sides)
     radius = 0.5 * width * outwards
     made.offsets = outwards * radial.reshape(-1, 3)
-    rings = points[:, None] + radius[:, None, None] * radial
+    rings = points[:, None] + radius[:, None, None] * mitred(radial, samples.turns())
     here, there = steps(samples)
     shown = (width[here] > 0.0) | (width[there] > 0.0)
     here, there = here[shown], there[shown]
@@ -269,6 +272,16 @@ def tubes(made: Tessellation, width: Floats) -> None:
             "indices": np.concatenate([quads.ravel(), np.repeat(caps_at, sides)]).astype(np.int32),
         },
     }
+
+
+def mitred(radial: Floats, turns: Floats) -> Floats:
+    """Rings at joints are in the plane half way between two pieces: there they are longer along the turn, so that both
+    pieces keep their width."""
+    sine = np.linalg.norm(turns, axis=1)
+    cosine = np.maximum(np.sqrt(np.maximum(1.0 - sine * sine, 0.0)), 1.0 / MITRE)
+    share = (1.0 / cosine - 1.0) / np.where(sine > 0.0, sine * sine, 1.0)
+    along = np.sum(radial * turns[:, None], axis=2, keepdims=True)
+    return radial + (share[:, None] * turns)[:, None] * along
 
 
 def caps(samples: Samples, width: Floats) -> tuple[NDArray, NDArray]:

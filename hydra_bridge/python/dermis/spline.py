@@ -156,6 +156,17 @@ class Samples:
         own[joined] += unit(derivative(c[before[joined]], np.ones(joined.sum())))
         return unit(self.mended(unit(own)))
 
+    def turns(self) -> Floats:
+        """Half the difference of the unit tangents that meet at a joint: across the one half way between them, and as
+        long as the sine of half the turn; 0 elsewhere."""
+        c = self.spline.coefficients(self.spline.points)
+        before, half = self.before(), np.zeros((len(self.u), 3))
+        joined = before >= 0
+        arrives = unit(derivative(c[before[joined]], np.ones(joined.sum())))
+        leaves = unit(derivative(c[self.segment[joined]], self.u[joined]))
+        half[joined] = 0.5 * (leaves - arrives)
+        return half
+
     def before(self) -> Ints:
         """For samples at the start of a segment, the segment that ends there; else -1."""
         spline = self.spline
