@@ -70,16 +70,16 @@ def crease(mesh: UsdGeom.Mesh, chains: list[list[int]], sharpness: list[float]) 
 
 
 def subdivision() -> None:
-    """Back: cubes with creases of sharpness 0, 1, 2.5 and infinite. Front: sheets whose boundary has corners, is
-    smooth, ends a face early; a hole and corners; Loop; a cage (level 0 by primvar)."""
+    """Back: cubes whose upper edges are creases of sharpness 0, 1, 2.3 and infinite. Front: sheets whose boundary has
+    corners, is smooth, ends a face early; a hole and corners; Loop; a cage (level 0 by primvar)."""
     stage = new_stage("subdivision.usda", " ".join(subdivision.__doc__.split()), (0.0, 5.5, 13.0), 36.0)
     attribute = stage.GetPrimAtPath("/Render/Settings").CreateAttribute(
         "dermis:refineLevel", Sdf.ValueTypeNames.Int
     )
     attribute.Set(3)
-    for i, sharpness in enumerate((0.0, 1.0, 2.5, 10.0)):
+    for i, sharpness in enumerate((0.0, 1.0, 2.3, 10.0)):
         cube = cage(stage, f"/World/Cube{i}", CUBE, [4] * 6, CUBE_FACES)
-        crease(cube, [[2, 3, 7, 6, 2], [0, 1, 5, 4, 0]], [sharpness, sharpness])
+        crease(cube, [[2, 3, 7, 6, 2]], [sharpness])
         place(cube, -4.5 + 3 * i, 1.0, -2.0, (0.0, 25.0, 0.0))
     for i, boundary in enumerate(("edgeAndCorner", "edgeOnly", "none")):
         points = [
