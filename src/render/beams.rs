@@ -10,8 +10,9 @@ use crate::medium::Medium;
 /// Points at which beams of light are looked for, over records of a boundary cache: they follow no path.
 const PER_RECORD: u32 = 2;
 
-/// Most beams that begin in all bodies: some 32 in each of the cells that a light sees of the largest grid. While they are
-/// sorted into cells, each takes about a kilobyte.
+/// Beams that are shared among all bodies: some 32 in each of the cells that a light sees of the largest grid. While they are
+/// sorted into cells, each takes about a kilobyte. A small body gets more than its share, `LEAST_RECORDS` where it is worth
+/// `WORTH`: many of them have up to four times as many in all.
 const MOST: u32 = 80_000;
 
 impl<Over: Fn() -> bool> Training<'_, Over> {
