@@ -33,6 +33,13 @@ impl Network {
             self.nodes.iter().filter_map(|node| if let Node::Image(image) = node { Some(&image.tiles) } else { None });
         tiles.flatten().map(|tile| &tile.image)
     }
+
+    /// The same, to name them otherwise.
+    pub fn images_mut(&mut self) -> impl Iterator<Item = &mut String> {
+        let nodes = self.nodes.iter_mut();
+        let tiles = nodes.filter_map(|node| if let Node::Image(image) = node { Some(&mut image.tiles) } else { None });
+        tiles.flatten().map(|tile| &mut tile.image)
+    }
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

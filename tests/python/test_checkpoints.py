@@ -223,6 +223,43 @@ def test_checkpoints_of_something_else_are_refused(stage, tmp_path, capsys):
     assert keep.exists() and not (tmp_path / "a.exr").exists()
 
 
+def test_a_checkpoint_goes_on_where_its_images_lie_elsewhere(tmp_path, capsys):
+    """The whole folder moves, and later the picture is another."""
+    oiio = pytest.importorskip("OpenImageIO")
+    sky = DOME.replace("float inputs", "asset inputs:texture:file = @./sky.exr@\n float inputs")
+
+    def paint(file: Path, value: float) -> None:
+        image = oiio.ImageBuf(oiio.ImageSpec(4, 2, 3, oiio.FLOAT))
+        oiio.ImageBufAlgo.fill(image, (value, 0.5, 0.25))
+        assert image.write(str(file))
+
+    here, there = tmp_path / "here", tmp_path / "there"
+    here.mkdir()
+    (here / "s.usda").write_text(stage_text(CARD, CAMERA, sky))
+    paint(here / "sky.exr", 0.5)
+    keep = checkpoint_of(here / "s.usda", here / "a.exr", "-w", "16")
+    assert keep.exists()
+    here.rename(there)
+    flags = (
+        "-w",
+        "16",
+        "--samples",
+        "100000",
+        "--timeLimit",
+        "1",
+        "--resume",
+        "--stats",
+        tmp_path / "s.json",
+    )
+    whole = (there / keep.name).read_bytes()
+    assert run("record", there / "s.usda", there / "a.exr", *flags) == 0
+    assert json.loads((tmp_path / "s.json").read_text())["resumed_samples_per_pixel"] > 0
+    (there / keep.name).write_bytes(whole)
+    paint(there / "sky.exr", 0.625)
+    assert run("record", there / "s.usda", there / "a.exr", *flags) == 1
+    assert "it is of another scene" in capsys.readouterr().err
+
+
 def test_damaged_checkpoints_are_refused(stage, tmp_path):
     keep = checkpoint_of(stage, tmp_path / "a.exr", "-w", "16")
     whole = keep.read_bytes()

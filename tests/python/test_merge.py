@@ -136,6 +136,56 @@ def test_what_does_not_belong_together_is_refused(stage, tmp_path, capsys):
     assert run("merge", one, one, "-o", tmp_path / "m.png") == 2
 
 
+@pytest.mark.parametrize("moved", ["material", "light"])
+def test_where_images_lie_does_not_matter_but_what_is_in_them(tmp_path, capsys, moved):
+    """One stage with its images beside it in several folders, as farms mount it: parts go together, unless a picture
+    is another."""
+    oiio = pytest.importorskip("OpenImageIO")
+    look = """
+    def Material "Look"
+    {
+        token outputs:surface.connect = </World/Look/S.outputs:surface>
+        def Shader "S"
+        {
+            uniform token info:id = "UsdPreviewSurface"
+            color3f inputs:diffuseColor.connect = </World/Look/T.outputs:rgb>
+            token outputs:surface
+        }
+        def Shader "T"
+        {
+            uniform token info:id = "UsdUVTexture"
+            asset inputs:file = @./a.exr@
+            float3 outputs:rgb
+        }
+    }
+"""
+    card = CARD.replace('"Card"', '"Card" (prepend apiSchemas = ["MaterialBindingAPI"])')
+    card = card.replace(
+        "int[] faceVertexCounts", "rel material:binding = </World/Look>\n int[] faceVertexCounts"
+    )
+    sky = DOME.replace("float inputs", "asset inputs:texture:file = @./b.exr@\n float inputs")
+    text = stage_text(card, look, CAMERA, sky)
+
+    def part(folder: str, first: int, **values: float) -> str:
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "s.usda").write_text(text)
+        for name in ("a", "b"):
+            image = oiio.ImageBuf(oiio.ImageSpec(4, 2, 3, oiio.FLOAT))
+            oiio.ImageBufAlgo.fill(image, (values.get(name, 0.5), 0.5, 0.25))
+            assert image.write(str(tmp_path / folder / f"{name}.exr"))
+        out = tmp_path / folder / "out.exr"
+        flags = ("-w", "8", "--samples", "4", "--sampleOffset", first)
+        assert run("record", tmp_path / folder / "s.usda", out, *flags) == 0
+        return str(out)
+
+    one, two = part("z_one", 0), part("another_two", 4)
+    changed = part("three", 8, **{"a" if moved == "material" else "b": 0.625})
+    assert run("merge", one, two, "-o", tmp_path / "m.exr") == 0
+    capsys.readouterr()
+    assert run("merge", one, changed, "-o", tmp_path / "n.exr") == 1
+    assert "scene or settings are not those" in capsys.readouterr().err
+
+
 def test_other_seeds_are_other_samples(stage, tmp_path):
     for seed in "12":
         flags = ("-w", "8", "--samples", "4", "--seed", seed)
