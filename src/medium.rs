@@ -1,6 +1,7 @@
 //! Homogeneous participating media: coefficients and the phase function.
 
-use crate::math::{Frame, PI, Rgb, TAU};
+use crate::math::{Frame, PI, Rgb, sin_cos_turns};
+use crate::sampling::{UNIFORM_SPHERE_PDF, uniform_sphere};
 use glam::{Vec2, Vec3};
 
 /// A homogeneous medium, coefficients per channel in 1 / stage unit.
@@ -29,6 +30,9 @@ impl Medium {
 
 /// Henyey-Greenstein phase function, 1/sr; `cos_theta` between travelling directions.
 pub fn phase_eval(g: f32, cos_theta: f32) -> f32 {
+    if g == 0.0 {
+        return UNIFORM_SPHERE_PDF;
+    }
     let denominator = 1.0 + g * g - 2.0 * g * cos_theta;
     // Rounding can reach zero only for |g| -> 1 straight ahead; the floor keeps the peak finite.
     let denominator = denominator.max(1e-12);
@@ -37,6 +41,9 @@ pub fn phase_eval(g: f32, cos_theta: f32) -> f32 {
 
 /// Direction after scattering of light travelling along `d`; solid-angle pdf is [`phase_eval`].
 pub fn phase_sample(g: f32, d: Vec3, u: Vec2) -> Vec3 {
+    if g == 0.0 {
+        return uniform_sphere(u);
+    }
     // Below 1e-3 the inversion divides by a cancelled difference, and HG is isotropic to 0.3 %: use its
     // first-order form 1 + 3 g cos, whose inverse is mu + 3 g (mu^2 - 1) / 2 with mu = 2u - 1 to O(g^2).
     let mu = 2.0 * u.x - 1.0;
@@ -48,7 +55,7 @@ pub fn phase_sample(g: f32, d: Vec3, u: Vec2) -> Vec3 {
     }
     .clamp(-1.0, 1.0); // rounding at the poles
     let sin_theta = (1.0 - cos_theta * cos_theta).max(0.0).sqrt();
-    let (sin_phi, cos_phi) = (TAU * u.y).sin_cos();
+    let (sin_phi, cos_phi) = sin_cos_turns(u.y);
     Frame::from_normal(d).to_world(Vec3::new(sin_theta * cos_phi, sin_theta * sin_phi, cos_theta))
 }
 

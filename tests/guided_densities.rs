@@ -5,7 +5,7 @@ mod support;
 
 use dermis::guiding::control::Controls;
 use dermis::guiding::statistics::ControlSums;
-use dermis::math::Rgb;
+use dermis::math::{Frame, Rgb};
 use dermis::medium::{Medium, phase_sample};
 use dermis::sampling::sampler::Sampler;
 use dermis::subsurface::mixture::{Visitor, walk_mixture};
@@ -76,7 +76,7 @@ fn errors_along(medium: &GuidedMedium, guided_first: bool, length: u32, seed: u3
 
 fn turn(medium: &GuidedMedium, techniques: &Techniques, drawn: Technique, w: Vec3, sampler: &mut Sampler) -> Vec3 {
     match drawn.lane {
-        Some(lane) => medium.kernels[drawn.channel].sample(techniques.normal(lane), w, sampler),
+        Some(lane) => medium.kernels[drawn.channel].sample(&Frame::from_normal(techniques.normal(lane)), w, sampler),
         None => phase_sample(medium.medium.g, w, Vec2::new(sampler.random(), sampler.random())),
     }
 }

@@ -3,7 +3,7 @@
 pub mod distribution;
 pub mod sampler;
 
-use crate::math::{FRAC_1_PI, Frame, PI, TAU};
+use crate::math::{FRAC_1_PI, Frame, PI, sin_cos_turns};
 use glam::{Vec2, Vec3};
 
 /// Uniform disk, concentric (Shirley and Chiu 1997); pdf 1/pi per area.
@@ -33,16 +33,22 @@ pub fn cosine_hemisphere_pdf(cos_theta: f32) -> f32 {
 pub fn uniform_sphere(u: Vec2) -> Vec3 {
     let z = 1.0 - 2.0 * u.x;
     let r = (1.0 - z * z).max(0.0).sqrt();
-    let (sin, cos) = (TAU * u.y).sin_cos();
+    let (sin, cos) = sin_cos_turns(u.y);
     Vec3::new(r * cos, r * sin, z)
 }
 
 /// The unit direction at 1 - cos = `one_minus_cos` (0..=2) from unit `axis`, azimuth 2 pi `u`; by the complement, since
 /// a cosine in f32 resolves no angle below 3e-4.
 pub fn direction_about(axis: Vec3, one_minus_cos: f32, u: f32) -> Vec3 {
+    direction_in(&Frame::from_normal(axis), one_minus_cos, u)
+}
+
+/// [`direction_about`] the normal of a frame.
+#[inline]
+pub fn direction_in(frame: &Frame, one_minus_cos: f32, u: f32) -> Vec3 {
     let sin_theta = (one_minus_cos * (2.0 - one_minus_cos)).max(0.0).sqrt();
-    let (sin, cos) = (TAU * u).sin_cos();
-    Frame::from_normal(axis).to_world(Vec3::new(sin_theta * cos, sin_theta * sin, 1.0 - one_minus_cos))
+    let (sin, cos) = sin_cos_turns(u);
+    frame.to_world(Vec3::new(sin_theta * cos, sin_theta * sin, 1.0 - one_minus_cos))
 }
 
 pub const UNIFORM_SPHERE_PDF: f32 = 0.25 * FRAC_1_PI;

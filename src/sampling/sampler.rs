@@ -169,12 +169,16 @@ impl Sampler {
         if let Some(bits) = self.step_bits() { open(bits) } else { self.random_open() }
     }
 
+    #[inline(always)] // most steps are hashed, in a few instructions
     fn step_bits(&mut self) -> Option<u32> {
+        if self.step.drawn < STEP_DIMENSIONS { Some(self.step_sobol()) } else { None }
+    }
+
+    #[inline(never)]
+    fn step_sobol(&mut self) -> u32 {
         let Step { shuffled, scrambled_as, drawn } = self.step;
-        (drawn < STEP_DIMENSIONS).then(|| {
-            self.step.drawn += 1;
-            self.sobol_bits(shuffled, drawn, scrambled_as + drawn)
-        })
+        self.step.drawn += 1;
+        self.sobol_bits(shuffled, drawn, scrambled_as + drawn)
     }
 
     /// A number in [0, 1) from the hashed stream: SplitMix64 (Steele et al. 2014), top 24 bits.

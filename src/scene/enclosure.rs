@@ -107,6 +107,7 @@ impl<'a> InstanceEnclosure<'a> {
         Some(self.point(&BoundaryHit { instance: self.index, triangle: found.triangle, u: found.u, v: found.v }))
     }
 
+    #[inline(always)] // every step of a walk
     fn cast_alone(&self, p: Vec3, d: Vec3, t_max: f32, from: Option<BoundaryHit>) -> Option<(f32, BoundaryHit)> {
         let ray = self.instance.local_ray(&self.placed, p, d, t_max);
         let hit = self.instance.geometry.closest(&ray, skipped(from, self.index), self.scene.time)?;

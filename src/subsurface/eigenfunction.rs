@@ -7,9 +7,9 @@
 //! smooth as the phase function and is tabulated; the factor 1 / (1 - kappa mu) is not, it can be sharp.
 
 use super::dwivedi::{Dwivedi, kappa as isotropic_kappa, representable};
-use crate::math::TAU;
+use crate::math::{Frame, TAU};
 use crate::medium::{phase_eval, phase_sample};
-use crate::sampling::direction_about;
+use crate::sampling::direction_in;
 use crate::sampling::sampler::Sampler;
 use glam::{Vec2, Vec3};
 
@@ -90,19 +90,19 @@ impl Eigenfunction {
         self.complement + self.kappa * one_minus_mu
     }
 
-    /// Direction with density alpha_hat HG(d.w) phi(n.w) / N(n.d).
-    pub fn sample(&self, n: Vec3, d: Vec3, sampler: &mut Sampler) -> Vec3 {
+    /// Direction with density alpha_hat HG(d.w) phi(n.w) / N(n.d), n the normal of `frame`.
+    pub fn sample(&self, frame: &Frame, d: Vec3, sampler: &mut Sampler) -> Vec3 {
         loop {
             let u = Vec2::new(sampler.random(), sampler.random());
             let (w, probability) = match &self.proposal {
                 Proposal::Phase { accept } => {
                     let w = phase_sample(self.g, d, u);
-                    let c = 0.5 * (w - n).length_squared();
+                    let c = 0.5 * (w - frame.n).length_squared();
                     (w, accept * self.source(c) / self.stretch(c))
                 }
                 Proposal::Slab { dwivedi, accept } => {
                     let c = dwivedi.sample(u.x);
-                    let w = direction_about(n, c, u.y);
+                    let w = direction_in(frame, c, u.y);
                     (w, accept * self.source(c) * phase_eval(self.g, d.dot(w)))
                 }
             };

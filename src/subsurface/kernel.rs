@@ -7,9 +7,9 @@
 
 use super::dwivedi::Dwivedi;
 use super::eigenfunction::{self, Eigenfunction};
-use crate::math::PI;
+use crate::math::Frame;
 use crate::medium::{phase_eval, phase_sample};
-use crate::sampling::direction_about;
+use crate::sampling::{UNIFORM_SPHERE_PDF, direction_in};
 use crate::sampling::sampler::Sampler;
 use glam::Vec3;
 use std::sync::Arc;
@@ -37,9 +37,6 @@ enum Form {
         eigenfunction: Arc<Eigenfunction>,
     },
 }
-
-/// The phase function for g = 0, rounded as there: over a thousand collisions the last bit counts.
-const ISOTROPIC: f32 = 1.0 / (4.0 * PI);
 
 /// Anisotropic kernels of a higher albedo are classical: with kappa below 1e-3, nothing is left to guide.
 const MAX_ALBEDO: f32 = 1.0 - 1e-6;
@@ -90,12 +87,13 @@ impl Kernel {
         self.source(one_minus_cos(n, w)) / self.stretch(n, w)
     }
 
-    /// Direction after a collision of light (path) travelling along `d`.
-    pub fn sample(&self, n: Vec3, d: Vec3, sampler: &mut Sampler) -> Vec3 {
+    /// Direction after a collision of light (path) travelling along `d`; the slab normal is that of `frame`.
+    #[inline]
+    pub fn sample(&self, frame: &Frame, d: Vec3, sampler: &mut Sampler) -> Vec3 {
         match &self.form {
             Form::Classical(g) => phase_sample(*g, d, sampler.step_2d()),
-            Form::Isotropic(dwivedi) => direction_about(n, dwivedi.sample(sampler.step_1d()), sampler.step_1d()),
-            Form::Anisotropic { eigenfunction, .. } => eigenfunction.sample(n, d, sampler),
+            Form::Isotropic(dwivedi) => direction_in(frame, dwivedi.sample(sampler.step_1d()), sampler.step_1d()),
+            Form::Anisotropic { eigenfunction, .. } => eigenfunction.sample(frame, d, sampler),
         }
     }
 
@@ -103,7 +101,7 @@ impl Kernel {
     pub fn pdf(&self, n: Vec3, d: Vec3, wi: Vec3) -> f32 {
         match &self.form {
             Form::Classical(g) => phase_eval(*g, d.dot(wi)),
-            Form::Isotropic(_) => ISOTROPIC * (self.alpha_hat / self.stretch(n, wi)),
+            Form::Isotropic(_) => UNIFORM_SPHERE_PDF * (self.alpha_hat / self.stretch(n, wi)),
             // stretch phi at d is the normaliser, by the eigenfunction's equation.
             Form::Anisotropic { g, .. } => {
                 self.alpha_hat * phase_eval(*g, d.dot(wi)) * self.phi(n, wi) / self.source(one_minus_cos(n, d))
@@ -144,6 +142,7 @@ pub fn diffusion_length(albedo: f32, g: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sampling::direction_about;
     use std::f64::consts::TAU;
 
     const ALBEDOS: [f32; 7] = [0.05, 0.3, 0.8, 0.95, 0.99, 0.999, 1.0];
@@ -208,7 +207,7 @@ mod tests {
         let mut counts = vec![0.0; bins];
         let mut sampler = Sampler::new(seed, 0, 0);
         for _ in 0..COUNT {
-            let w = kernel.sample(N, d, &mut sampler);
+            let w = kernel.sample(&Frame::from_normal(N), d, &mut sampler);
             assert!((w.length() - 1.0).abs() < 1e-6, "{label}: {w}");
             counts[bin_of(kernel, w)] += 1.0;
         }
@@ -257,7 +256,7 @@ mod tests {
                     let (n, w64) = (N.as_dvec3(), w.as_dvec3());
                     along += t * (1.0 - 0.5 * (w64 - n).length_squared());
                     if collision < COLLISIONS {
-                        let wi = kernel.sample(N, w, &mut sampler);
+                        let wi = kernel.sample(&Frame::from_normal(N), w, &mut sampler);
                         let classical = f64::from(phase_eval(g, w.dot(wi)));
                         product += (stretch * f64::from(kernel.pdf(N, w, wi)) / classical).ln();
                         w = wi;
@@ -310,7 +309,7 @@ mod tests {
                 let mut sampler = Sampler::new(5, 6, 7);
                 let mut d = direction_about(N, 1.3, 0.7);
                 for _ in 0..200 {
-                    let wi = kernel.sample(N, d, &mut sampler);
+                    let wi = kernel.sample(&Frame::from_normal(N), d, &mut sampler);
                     let values = [kernel.pdf(N, d, wi), kernel.phi(N, wi), kernel.stretch(N, wi)];
                     assert!(wi.is_normalized() && values.iter().all(|v| v.is_finite() && *v > 0.0), "{values:?}");
                     d = wi;

@@ -6,6 +6,7 @@
 use super::steps::{Enclosure, MAX_STEPS, Start, Step, Steps, WalkEnd, WalkStats};
 use super::technique::{At, Densities, GuidedMedium, Prefix, Technique, Techniques};
 use super::walk::{Collision, Role};
+use crate::math::Frame;
 use crate::medium::{phase_eval, phase_sample};
 use crate::sampling::sampler::Sampler;
 use glam::Vec3;
@@ -45,6 +46,8 @@ struct Walk<'a, H> {
     medium: &'a GuidedMedium,
     techniques: Techniques,
     drawn: Technique,
+    /// Of the slab normal that is drawn along.
+    along: Option<Frame>,
     start: Start<H>,
     prefix: Prefix,
     /// Product of the survival probabilities of roulette.
@@ -65,7 +68,8 @@ pub fn walk_mixture<E: Enclosure, V: Visitor>(
     stats.walks += 1;
     let techniques = techniques.tilted(start.weight);
     let drawn = techniques.choose(u);
-    let mut walk = Walk { medium, techniques, drawn, start, prefix: Prefix::new(start.d), survived: 1.0 };
+    let along = drawn.lane.map(|lane| Frame::from_normal(techniques.normal(lane)));
+    let mut walk = Walk { medium, techniques, drawn, along, start, prefix: Prefix::new(start.d), survived: 1.0 };
     let mut steps = Steps::new(enclosure, start);
     let mut scattered = None;
     for _ in 0..MAX_STEPS {
@@ -88,6 +92,7 @@ pub fn walk_mixture<E: Enclosure, V: Visitor>(
         if walk.prefix.collisions == 1 {
             if let Some(normal) = visitor.late_normal(steps.p) {
                 walk.techniques.set_normal(0, normal);
+                walk.along = drawn.lane.map(|lane| Frame::from_normal(walk.techniques.normal(lane)));
             }
         }
         if walk.prefix.collisions % ROULETTE_EVERY == 0 && !walk.survives(sampler) {
@@ -114,8 +119,8 @@ impl<H: Copy> Walk<'_, H> {
     fn free_flight(&self, sampler: &mut Sampler) -> f32 {
         let kernel = &self.medium.kernels[self.drawn.channel];
         let mut rate = self.medium.medium.sigma_t[self.drawn.channel];
-        if let Some(lane) = self.drawn.lane.filter(|_| self.techniques.guided_first || self.prefix.collisions > 0) {
-            rate *= kernel.stretch(self.techniques.normal(lane), self.prefix.last);
+        if let Some(along) = self.along.as_ref().filter(|_| self.techniques.guided_first || self.prefix.collisions > 0) {
+            rate *= kernel.stretch(along.n, self.prefix.last);
         }
         let depth = -sampler.step_open().ln();
         if rate > 0.0 { depth / rate } else { f32::INFINITY }
@@ -127,8 +132,8 @@ impl<H: Copy> Walk<'_, H> {
 
     fn direction(&self, sampler: &mut Sampler) -> Vec3 {
         let d = self.prefix.last;
-        match self.drawn.lane {
-            Some(lane) => self.medium.kernels[self.drawn.channel].sample(self.techniques.normal(lane), d, sampler),
+        match &self.along {
+            Some(along) => self.medium.kernels[self.drawn.channel].sample(along, d, sampler),
             None => phase_sample(self.medium.medium.g, d, sampler.step_2d()),
         }
     }

@@ -277,6 +277,9 @@ impl Densities {
 /// e^-80 under every technique that could have drawn it.
 const LARGEST: f32 = 80.0;
 
+/// Smallest: what is less is nothing beside it.
+const SMALLEST: f32 = -87.0;
+
 impl Techniques {
     /// Densities of the path `prefix` under every technique (guiding.md 1.3, 1.5, 8.2; restated for prefixes that
     /// end at a collision).
@@ -377,19 +380,11 @@ impl Techniques {
     }
 }
 
-/// exp(x - shift), exponents clamped to what f32 holds. 2^(i + f) with the Taylor polynomial of 2^f
-/// of degree 6 on [-1/2, 1/2]: relative error below 3e-7, and plain arithmetic that vectorises.
+/// exp(x - shift), exponents clamped to what f32 holds.
 fn exp8(x: [f64; LANES], shift: f64) -> [f32; LANES] {
     let mut out = [0.0; LANES];
     for i in 0..LANES {
-        let y = ((x[i] - shift) as f32 * std::f32::consts::LOG2_E).clamp(-126.0, LARGEST * std::f32::consts::LOG2_E);
-        // Adding 1.5 * 2^23 rounds to the nearest integer, whose bits are then the low ones of the mantissa.
-        let rounded = y + 12_582_912.0;
-        let f = y - (rounded - 12_582_912.0);
-        let scale = f32::from_bits((rounded.to_bits() << 23).wrapping_add(0x3f80_0000));
-        let high = (1.540_353e-4 * f + 1.333_355_8e-3) * f + 9.618_129e-3;
-        let poly = (((high * f + 5.550_411e-2) * f + 2.402_265e-1) * f + 6.931_472e-1) * f + 1.0;
-        out[i] = scale * poly;
+        out[i] = crate::math::exp_in_lanes(((x[i] - shift) as f32).clamp(SMALLEST, LARGEST));
     }
     out
 }

@@ -7,7 +7,7 @@
 
 use super::kernel::Kernel;
 use super::steps::{Enclosure, MAX_STEPS, Start, Step, Steps, WalkEnd, WalkStats};
-use crate::math::Rgb;
+use crate::math::{Frame, Rgb};
 use crate::medium::{Medium, phase_eval, phase_sample};
 use crate::sampling::sampler::Sampler;
 use glam::Vec3;
@@ -60,16 +60,21 @@ pub enum Along<'a> {
 #[derive(Clone, Copy)]
 struct Guided<'a> {
     kernels: &'a [Kernel; 3],
-    normal: Vec3,
+    /// Of the slab normal.
+    frame: Frame,
 }
 
-impl Guided<'_> {
+impl<'a> Guided<'a> {
+    fn new(kernels: &'a [Kernel; 3], normal: Vec3) -> Self {
+        Self { kernels, frame: Frame::from_normal(normal) }
+    }
+
     fn stretches(&self, w: Vec3) -> Rgb {
-        Rgb::from_array([0, 1, 2].map(|c| self.kernels[c].stretch(self.normal, w)))
+        Rgb::from_array([0, 1, 2].map(|c| self.kernels[c].stretch(self.frame.n, w)))
     }
 
     fn pdfs(&self, d: Vec3, wi: Vec3) -> Rgb {
-        Rgb::from_array([0, 1, 2].map(|c| self.kernels[c].pdf(self.normal, d, wi)))
+        Rgb::from_array([0, 1, 2].map(|c| self.kernels[c].pdf(self.frame.n, d, wi)))
     }
 }
 
@@ -105,7 +110,7 @@ pub fn walk<E: Enclosure>(
     let (mut d, mut weight) = (start.d, start.weight);
     let (mut guided, mut stretch) = (None, Rgb::ONE);
     if let Along::Fixed { kernels, normal, first_distance } = along {
-        let first = Guided { kernels, normal };
+        let first = Guided::new(kernels, normal);
         guided = Some(first);
         stretch = if first_distance { first.stretches(d) } else { stretch };
     }
@@ -163,7 +168,7 @@ pub fn walk<E: Enclosure>(
             None => return WalkEnd::Absorbed,
         }
         if let (Along::Late { kernels }, None) = (along, guided) {
-            guided = late(steps.p, sampler).map(|normal| Guided { kernels, normal });
+            guided = late(steps.p, sampler).map(|normal| Guided::new(kernels, normal));
         }
 
         // A new channel, and a direction for it.
@@ -179,7 +184,7 @@ pub fn walk<E: Enclosure>(
         };
         collide(&Collision { p: steps.p, weight: light, role, scatter: &scatter }, sampler);
         let wi = match guided {
-            Some(along) => along.kernels[channel].sample(along.normal, d, sampler),
+            Some(along) => along.kernels[channel].sample(&along.frame, d, sampler),
             None => phase_sample(medium.g, d, sampler.step_2d()),
         };
         let (phase, pdf) = scatter(wi);

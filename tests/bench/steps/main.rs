@@ -1,7 +1,8 @@
 //! `make bench-steps`: what a step of a walk costs in the bodies of scenes, one thread, interleaved.
 //!
 //! Each body is scaled to a diagonal of 1 and filled with grey media (albedo 0.99, isotropic) of several mean free paths.
-//! Classical walks and walks along the normal of their entry start all over it. The same walks are timed twice: as a
+//! Classical walks, walks along the normal of their entry (guided) and walks of the exact mixture of both, one in ten of them
+//! classical, start all over it. The same walks are timed twice: as a
 //! render takes them, and with the answers of the geometry read from a list, which leaves sampling and weights. The time of
 //! a chunk is the least processor time of all passes. Walks must end alike to the bit.
 
@@ -10,12 +11,12 @@
 mod subject;
 
 use dermis::math::Frame;
-use dermis::medium::Medium;
 use dermis::sampling::cosine_hemisphere;
 use dermis::sampling::sampler::Sampler;
 use dermis::scene::{BoundaryHit, InstanceEnclosure};
-use dermis::subsurface::kernel::Kernel;
+use dermis::subsurface::mixture::{Visitor, walk_mixture};
 use dermis::subsurface::steps::{Enclosure, Start, WalkEnd, WalkStats};
+use dermis::subsurface::technique::{GuidedMedium, PerTechnique, Techniques};
 use dermis::subsurface::walk::{Along, walk};
 use glam::{Vec2, Vec3};
 use std::cell::{Cell, RefCell};
@@ -70,15 +71,15 @@ fn body(file: &Path, passes: usize) -> Result<(), String> {
     for paths in MEAN_FREE_PATHS {
         let subject = Subject::filled(&name, mesh.clone(), 1.0 / paths as f32, ALBEDO);
         let enclosure = InstanceEnclosure::new(subject.scene.at(0.0), 0);
-        let medium = subject.scene.surfaces[0].interior.ok_or("no medium")?.medium;
+        let medium = GuidedMedium::new(subject.scene.surfaces[0].interior.ok_or("no medium")?.medium);
         let starts = starts(&enclosure, mesh.triangles.len());
-        for guided in [false, true] {
-            let row = Row::measure(&enclosure, &medium, guided, &starts, passes);
+        for kind in [Kind::Classical, Kind::Guided, Kind::Mixture] {
+            let row = Row::measure(&enclosure, &medium, kind, &starts, passes);
             let [all, sampling] = row.nanoseconds;
             println!(
                 "{name:<16} {:>6} {:<9} {:>6.1} {all:>8.1} {sampling:>9.1} {:>6.1}",
                 format!("1/{paths}"),
-                if guided { "guided" } else { "classical" },
+                format!("{kind:?}").to_lowercase(),
                 row.steps,
                 all - sampling,
             );
@@ -100,6 +101,13 @@ fn starts(enclosure: &InstanceEnclosure, triangles: usize) -> Vec<Start<Boundary
     (0..WALKS).map(start).collect()
 }
 
+#[derive(Debug, Clone, Copy)]
+enum Kind {
+    Classical,
+    Guided,
+    Mixture,
+}
+
 struct Row {
     /// Per walk.
     steps: f64,
@@ -110,18 +118,16 @@ struct Row {
 impl Row {
     fn measure(
         enclosure: &InstanceEnclosure,
-        medium: &Medium,
-        guided: bool,
+        medium: &GuidedMedium,
+        kind: Kind,
         starts: &[Start<BoundaryHit>],
         passes: usize,
     ) -> Self {
-        let kernels = [0, 1, 2].map(|c| Kernel::new(medium.albedo[c], medium.g));
-        let kernels = guided.then_some(&kernels);
         let (mut steps, mut best) = (0, [0.0; 2]);
         for (chunk, starts) in starts.chunks(CHUNK).enumerate() {
             let seed = chunk as u32;
             let recorder = Recorder { of: enclosure, seen: RefCell::default() };
-            let expected = walks(&recorder, medium, kernels, starts, seed);
+            let expected = walks(&recorder, medium, kind, starts, seed);
             let seen = recorder.seen.into_inner();
             steps += expected.0;
             let mut least = [f64::INFINITY; 2];
@@ -130,11 +136,11 @@ impl Row {
                     let who = (turn + pass) % 2;
                     let begin = thread_seconds();
                     let got = match who {
-                        0 => walks(enclosure, medium, kernels, starts, seed),
+                        0 => walks(enclosure, medium, kind, starts, seed),
                         _ => walks(
                             &Replay { of: enclosure, seen: &seen, next: Cell::new(0) },
                             medium,
-                            kernels,
+                            kind,
                             starts,
                             seed,
                         ),
@@ -152,17 +158,29 @@ impl Row {
 /// Steps of these walks, and the bits of where they end.
 fn walks<E: Enclosure<Hit = BoundaryHit>>(
     enclosure: &E,
-    medium: &Medium,
-    kernels: Option<&[Kernel; 3]>,
+    medium: &GuidedMedium,
+    kind: Kind,
     starts: &[Start<BoundaryHit>],
     seed: u32,
 ) -> (u64, u64) {
     let (mut stats, mut bits) = (WalkStats::default(), 0_u64);
     let mut sampler = Sampler::new(seed, 0, 0);
     for &start in starts {
-        let along =
-            kernels.map_or(Along::None, |kernels| Along::Fixed { kernels, normal: start.normal, first_distance: true });
-        let end = walk(enclosure, medium, along, start, false, &mut sampler, &mut stats, |_, _| None, |_, _| ());
+        let along = |along, sampler: &mut Sampler, stats: &mut WalkStats| {
+            walk(enclosure, &medium.medium, along, start, false, sampler, stats, |_, _| None, |_, _| ())
+        };
+        let end = match kind {
+            Kind::Classical => along(Along::None, &mut sampler, &mut stats),
+            Kind::Guided => {
+                let (kernels, normal) = (&medium.kernels, start.normal);
+                along(Along::Fixed { kernels, normal, first_distance: true }, &mut sampler, &mut stats)
+            }
+            Kind::Mixture => {
+                let (techniques, u) = (mixture(start.normal), sampler.random());
+                let visitor = &mut Unlit;
+                walk_mixture(enclosure, medium, techniques, start, u, &mut sampler, &mut stats, visitor).end
+            }
+        };
         if let WalkEnd::Boundary { hit, p, weight, .. } = end {
             for value in [p.x, p.y, p.z, weight.x, hit.u, hit.v] {
                 bits = bits.rotate_left(7) ^ u64::from(value.to_bits());
@@ -171,6 +189,22 @@ fn walks<E: Enclosure<Hit = BoundaryHit>>(
         }
     }
     (stats.steps, bits)
+}
+
+/// Along the normal of the entry, one in ten classical.
+fn mixture(normal: Vec3) -> Techniques {
+    let mut techniques = Techniques { guided_first: true, ..Techniques::default() };
+    techniques.set_normal(0, normal);
+    let mut shares = PerTechnique { classical: [0.1 / 3.0; 3], ..PerTechnique::default() };
+    shares.guided.iter_mut().for_each(|channel| channel[0] = 0.9 / 3.0);
+    Techniques { shares, ..techniques }
+}
+
+/// No light at collisions.
+struct Unlit;
+
+impl Visitor for Unlit {
+    const AT_COLLISIONS: bool = false;
 }
 
 /// Notes what the geometry answers.
