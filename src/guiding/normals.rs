@@ -25,6 +25,8 @@ pub struct Sources {
     pub profile: Profile,
     /// Numbers of the lit cells.
     pub lit: Vec<u32>,
+    /// The bins of their normals.
+    bins: Vec<u8>,
 }
 
 /// Most sources of a receiver: clusters of them do not change with more, and the cost is theirs.
@@ -39,7 +41,8 @@ impl Sources {
             let lit: Vec<u32> = (0..cache.means.len() as u32).filter(|&i| cache.means[i as usize].lit).collect();
             if lit.len() <= MOST_SOURCES {
                 let cache = if bill { cache.with_incident(records) } else { cache };
-                return Self { cache, profile, lit };
+                let bins = lit.iter().map(|&i| bin_of(cache.means[i as usize].normal) as u8).collect();
+                return Self { cache, profile, lit, bins };
             }
             size *= 2.0;
         }
@@ -86,11 +89,11 @@ pub fn initial_techniques(
     let own = receiver.normal;
     let mut bins = [Gathered::default(); BINS];
     let mut near = Rgb::ZERO;
-    for (_, source, weight) in sources.weights(receiver) {
+    for ((_, source, weight), &bin) in sources.weights(receiver).zip(&sources.bins) {
         if source.normal.dot(own) > OWN {
             near += weight;
         } else {
-            let bin = &mut bins[bin_of(source.normal)];
+            let bin = &mut bins[bin as usize];
             bin.sum += source.normal * mean(weight);
             bin.weight += weight;
         }
@@ -159,20 +162,23 @@ pub fn cluster(bins: &[Gathered], k: usize) -> Vec<(Vec3, Rgb)> {
         .map(|bin| (bin.sum.normalize(), mean(bin.weight), bin.weight))
         .collect();
     let mut centres: Vec<Vec3> = Vec::new();
+    // Of each bin: 1 - cosine to the nearest centre.
+    let mut apart = vec![2.0_f32; bins.len()];
     while centres.len() < k.min(bins.len()) {
-        let cost = |n: Vec3, weight: f32| weight * centres.iter().map(|c| 1.0 - c.dot(n)).fold(2.0, f32::min);
-        let Some(best) = bins.iter().max_by(|a, b| cost(a.0, a.1).total_cmp(&cost(b.0, b.1))) else { break };
-        if cost(best.0, best.1) <= 0.0 {
+        let cost = |i: usize| bins[i].1 * apart[i];
+        let Some(best) = (0..bins.len()).max_by(|&a, &b| cost(a).total_cmp(&cost(b))) else { break };
+        if cost(best) <= 0.0 {
             break;
         }
-        centres.push(best.0);
+        let centre = bins[best].0;
+        apart.iter_mut().zip(&bins).for_each(|(apart, bin)| *apart = apart.min(1.0 - centre.dot(bin.0)));
+        centres.push(centre);
     }
     let mut weights = Vec::new();
     for _ in 0..4 {
         let mut sums = vec![(Vec3::ZERO, Rgb::ZERO); centres.len()];
         for (n, weight, rgb) in &bins {
-            let nearest = (0..centres.len()).max_by(|&a, &b| centres[a].dot(*n).total_cmp(&centres[b].dot(*n)));
-            let Some(nearest) = nearest else { break };
+            let Some(nearest) = nearest(&centres, *n) else { break };
             sums[nearest].0 += *n * *weight;
             sums[nearest].1 += *rgb;
         }
@@ -182,4 +188,9 @@ pub fn cluster(bins: &[Gathered], k: usize) -> Vec<(Vec3, Rgb)> {
         weights = sums;
     }
     centres.into_iter().zip(weights).map(|(n, (_, weight))| (n, weight)).collect()
+}
+
+fn nearest(centres: &[Vec3], n: Vec3) -> Option<usize> {
+    let cosines = centres.iter().map(|centre| centre.dot(n)).enumerate();
+    cosines.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(i, _)| i)
 }
