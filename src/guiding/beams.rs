@@ -87,8 +87,12 @@ impl Beams {
         let mut passed: Vec<Passed> =
             beams.par_iter().enumerate().flat_map_iter(|(i, beam)| new.march(i, beam, medium)).collect();
         passed.par_sort_by_key(|passed| passed.place); // stable: a function of the beams alone
-        for of_cell in passed.chunk_by(|a, b| a.place == b.place) {
-            new.add_cell(of_cell);
+        let of_cells: Vec<&[Passed]> = passed.chunk_by(|a, b| a.place == b.place).collect();
+        let made: Vec<(Cell, Vec<Vec3>)> = of_cells.par_iter().map(|passed| cell(passed)).collect();
+        for (passed, (cell, lobes)) in of_cells.iter().zip(made) {
+            new.index[passed[0].place as usize] = new.cells.len() as u32;
+            new.cells.push(Cell { first: new.lobes.len() as u32, ..cell });
+            new.lobes.extend(lobes);
         }
         new.relate();
         (!new.cells.is_empty()).then_some(new)
@@ -112,33 +116,11 @@ impl Beams {
     }
 
     fn place(&self, p: Vec3) -> Option<usize> {
-        let at = ((p - self.min) / self.size).floor().as_ivec3();
-        let inside = at.cmpge(IVec3::ZERO).all() && at.cmplt(self.side).all();
+        let at = (p - self.min) / self.size;
+        // Truncated, which from 0 on is the floor: that is a call without SSE 4.1.
+        let (above, at) = (at.cmpge(Vec3::ZERO).all(), at.as_ivec3());
+        let inside = above && at.cmplt(self.side).all();
         inside.then(|| ((at.z * self.side.y + at.y) * self.side.x + at.x) as usize)
-    }
-
-    /// Lobes are drawn by weight, in strata.
-    fn add_cell(&mut self, passed: &[Passed]) {
-        let fluence: f32 = passed.iter().map(|passed| passed.weight).sum();
-        let sum: Vec3 = passed.iter().map(|passed| passed.weight * passed.towards).sum();
-        let count = passed.len().min(LOBES);
-        let (mut below, mut next, first) = (0.0, 0, self.lobes.len());
-        for passed in passed {
-            below += passed.weight;
-            while next < count && (next as f32 + 0.5) * fluence <= below * count as f32 {
-                self.lobes.push(passed.towards);
-                next += 1;
-            }
-        }
-        let lobes = &self.lobes[first..];
-        self.index[passed[0].place as usize] = self.cells.len() as u32;
-        self.cells.push(Cell {
-            first: first as u32,
-            count: lobes.len() as u32,
-            k: concentration(lobes),
-            fluence,
-            towards: sum / fluence,
-        });
     }
 
     /// Fluence relative to the mean that a ray of light sees.
@@ -181,6 +163,23 @@ impl Beams {
     pub fn memory(&self) -> usize {
         4 * self.index.len() + size_of::<Cell>() * self.cells.len() + size_of::<Vec3>() * self.lobes.len()
     }
+}
+
+/// What passed it as a cell with its lobes, which are drawn by weight, in strata.
+fn cell(passed: &[Passed]) -> (Cell, Vec<Vec3>) {
+    let fluence: f32 = passed.iter().map(|passed| passed.weight).sum();
+    let sum: Vec3 = passed.iter().map(|passed| passed.weight * passed.towards).sum();
+    let count = passed.len().min(LOBES);
+    let (mut below, mut next, mut lobes) = (0.0, 0, Vec::with_capacity(count));
+    for passed in passed {
+        below += passed.weight;
+        while next < count && (next as f32 + 0.5) * fluence <= below * count as f32 {
+            lobes.push(passed.towards);
+            next += 1;
+        }
+    }
+    let (k, towards) = (concentration(&lobes), sum / fluence);
+    (Cell { first: 0, count: lobes.len() as u32, k, fluence, towards }, lobes)
 }
 
 /// Of kernels as wide as the lobes are apart.
