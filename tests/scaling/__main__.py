@@ -18,6 +18,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--out", type=Path, default=Path("out"), help="folder of table and figure")
     parser.add_argument("--only", default="", metavar="AXIS[,AXIS...]", help=f"of {', '.join(AXES)}, threads")
     parser.add_argument("--largest", type=int, default=0, metavar="N", help="leave out sizes above N")
+    parser.add_argument("--rounds", type=int, default=5, metavar="N", help="of one thread and two, in turns")
     return parser.parse_args()
 
 
@@ -29,7 +30,7 @@ def main() -> int:
         return 2
     rows: list[runs.Row] = []
     with tempfile.TemporaryDirectory() as folder:
-        for row in runs.all_rows(chosen, options.largest, Path(folder)):
+        for row in runs.all_rows(chosen, options.largest, options.rounds, Path(folder)):
             print(row.line(), flush=True)
             rows.append(row)
     options.out.mkdir(parents=True, exist_ok=True)

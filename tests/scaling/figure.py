@@ -11,7 +11,7 @@ from .runs import Row
 
 
 def write(rows: list[Row], file: Path) -> None:
-    axes = list(dict.fromkeys(row.axis for row in rows))
+    axes = list(dict.fromkeys(row.axis for row in rows if row.axis != "processes"))
     figure, panels = plt.subplots(
         2, len(axes), figsize=(3.2 * len(axes), 6), squeeze=False, layout="constrained"
     )

@@ -5,7 +5,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,6 @@ from .stages import AXES, triangles
 #: Pixels a side, where resolution is not the axis.
 SIDE = 128
 SAMPLES = 16
-#: Samples per second of two threads over one are measured this often, in turns.
-ROUNDS = 5
 
 #: What usd-core itself needs for the work that a renderer cannot do without: open, visit, read every value.
 READ = """
@@ -58,10 +57,10 @@ class Row:
 COLUMNS = list(Row.__dataclass_fields__)
 
 
-def all_rows(chosen: list[str], largest: int, folder: Path) -> Iterator[Row]:
+def all_rows(chosen: list[str], largest: int, rounds: int, folder: Path) -> Iterator[Row]:
     for axis in chosen:
         if axis == "threads":
-            yield from thread_rows(folder)
+            yield from thread_rows(rounds, folder)
             continue
         make, sizes = AXES[axis]
         for size in sizes:
@@ -104,14 +103,26 @@ def usd_seconds(stage: Path) -> float:
     return time.perf_counter() - start
 
 
-def thread_rows(folder: Path) -> Iterator[Row]:
-    """The same picture by one thread and by two, in turns: of each the fastest of ROUNDS."""
-    stage = folder / "threads.usdc"
-    triangles(stage, 20_000)
-    best: dict[int, Row] = {}
-    for _ in range(ROUNDS):
-        for threads in (1, 2):
-            new = row("threads", threads, stage, 2 * SIDE, threads)
-            if threads not in best or new.sample_us < best[threads].sample_us:
-                best[threads] = new
-    yield from best.values()
+def thread_rows(rounds: int, folder: Path) -> Iterator[Row]:
+    """The same picture by one thread, by two, and by two processes of one thread at a time, in turns: of each the
+    fastest of so many rounds. The processes share nothing but the machine: what they reach is what it has to give."""
+    stages = [folder / "threads.usdc", folder / "threads_beside.usdc"]
+    for stage in stages:
+        triangles(stage, 20_000)
+    turns = [
+        lambda: row("threads", 1, stages[0], 2 * SIDE, 1),
+        lambda: row("threads", 2, stages[0], 2 * SIDE, 2),
+        lambda: beside_each_other(stages),
+    ]
+    best = [turn() for turn in turns]
+    for _ in range(rounds - 1):
+        best = [
+            min(old, turn(), key=lambda row: row.sample_us) for old, turn in zip(best, turns, strict=True)
+        ]
+    yield from best
+
+
+def beside_each_other(stages: list[Path]) -> Row:
+    with ThreadPoolExecutor(len(stages)) as pool:
+        rows = list(pool.map(lambda stage: row("processes", len(stages), stage, 2 * SIDE, 1), stages))
+    return replace(rows[0], sample_us=sum(row.sample_us for row in rows) / len(rows) ** 2)
