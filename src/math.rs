@@ -76,7 +76,7 @@ pub fn sin_cos_turns(u: f32) -> (f32, f32) {
     let quarter = rounded.to_bits();
     let r = 4.0 * u - (rounded - ROUND); // exact
     let z = r * r;
-    let sin = (((-4.601_658e-3 * z + 7.968_003e-2) * z - 6.459_634_6e-1) * z + 1.570_796_3) * r;
+    let sin = (((-4.601_658e-3 * z + 7.968_003e-2) * z - 6.459_634_6e-1) * z + std::f32::consts::FRAC_PI_2) * r;
     let cos = (((9.040_217e-4 * z - 2.086_028_9e-2) * z + 2.536_692_4e-1) * z - 1.233_700_5) * z + 1.0;
     let swap = (sin.to_bits() ^ cos.to_bits()) & 0_u32.wrapping_sub(quarter & 1);
     let signs = [quarter & 2, (quarter + 1) & 2].map(|sign| sign << 30);

@@ -9,8 +9,8 @@ use super::dwivedi::Dwivedi;
 use super::eigenfunction::{self, Eigenfunction};
 use crate::math::Frame;
 use crate::medium::{phase_eval, phase_sample};
-use crate::sampling::{UNIFORM_SPHERE_PDF, direction_in};
 use crate::sampling::sampler::Sampler;
+use crate::sampling::{UNIFORM_SPHERE_PDF, direction_in};
 use glam::Vec3;
 use std::sync::Arc;
 

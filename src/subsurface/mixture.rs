@@ -119,7 +119,8 @@ impl<H: Copy> Walk<'_, H> {
     fn free_flight(&self, sampler: &mut Sampler) -> f32 {
         let kernel = &self.medium.kernels[self.drawn.channel];
         let mut rate = self.medium.medium.sigma_t[self.drawn.channel];
-        if let Some(along) = self.along.as_ref().filter(|_| self.techniques.guided_first || self.prefix.collisions > 0) {
+        if let Some(along) = self.along.as_ref().filter(|_| self.techniques.guided_first || self.prefix.collisions > 0)
+        {
             rate *= kernel.stretch(along.n, self.prefix.last);
         }
         let depth = -sampler.step_open().ln();
