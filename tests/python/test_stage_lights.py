@@ -201,6 +201,18 @@ def test_eight_bits_are_srgb_unless_raw(flat, tmp_path, suffix, space, expected)
     assert pixels == pytest.approx(np.full((64, 3), expected), abs=4e-3)
 
 
+def test_eight_bits_that_are_said_to_be_linear(flat, tmp_path):
+    spec = oiio.ImageSpec(8, 8, 3, oiio.UINT8)
+    spec.attribute("oiio:ColorSpace", "lin_rec709_scene")
+    output = oiio.ImageOutput.create(str(tmp_path / "card.png"))
+    output.open(str(tmp_path / "card.png"), spec)
+    output.write_image(np.full((8, 8, 3), 127, np.uint8))
+    output.close()
+    result = flat(light("RectLight", f"    asset inputs:texture:file = @{tmp_path}/card.png@"))
+    pixels = result.prims[result.prims["/L"]["shape"]["texture"]]["pixels"]
+    assert pixels == pytest.approx(np.full((64, 3), 127 / 255), abs=1e-4)
+
+
 def test_other_primaries_become_rec709(flat, tmp_path):
     output = oiio.ImageOutput.create(str(tmp_path / "ap0.exr"))
     spec = oiio.ImageSpec(1, 1, 3, oiio.FLOAT)

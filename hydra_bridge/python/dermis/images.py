@@ -18,7 +18,7 @@ from pxr import Ar, Usd, UsdShade
 from .color import ColorError, linear_rec709, open_config
 from .colorspace import REC709, transformed
 from .reading import Reader
-from .texture import RAW_SPACES, SRGB_SPACES, TextureError, srgb_to_linear, stamp, to_rec709
+from .texture import RAW_SPACES, SRGB_SPACES, TextureError, says_linear, srgb_to_linear, stamp, to_rec709
 
 Fields = dict[str, Any]
 
@@ -95,7 +95,7 @@ class Header:
     def __init__(self, spec: Any, bits: str) -> None:
         self.bits = bits
         self.channels = min(spec.nchannels, 4)
-        self.is_linear = str(spec.getattribute("oiio:ColorSpace") or "").lower().startswith("lin")
+        self.is_linear = says_linear(spec)
         self.wraps = [WRAPS.get(wrap) for wrap in str(spec.getattribute("wrapmodes") or "").split(",")]
 
 

@@ -96,10 +96,16 @@ def decode_file(path: str, space: str) -> tuple[int, int, NDArray, tuple[str, ..
     if values is None:
         raise TextureError(f"it cannot be read ({image.geterror().strip()})")
     image.close()
-    if spec.format.basetype == oiio.UINT8 if space == "auto" else space in SRGB_SPACES:
+    eight = spec.format.basetype == oiio.UINT8 and not says_linear(spec)
+    if eight if space == "auto" else space in SRGB_SPACES:
         values = srgb_to_linear(values)
     pixels, notes = usable(to_rec709(rgb(values), spec.getattribute("chromaticities")))
     return spec.width, spec.height, pixels.reshape(-1, 3), notes
+
+
+def says_linear(spec: Any) -> bool:
+    """Whether a file says of itself that its colours are linear, as PNG does by a gAMA of 1."""
+    return str(spec.getattribute("oiio:ColorSpace") or "").lower().startswith("lin")
 
 
 def rgb(values: NDArray) -> NDArray:
