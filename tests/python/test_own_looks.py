@@ -57,9 +57,9 @@ def of_preview(scenes, st: NDArray) -> NDArray:
 
 
 def of_openpbr(_scenes, st: NDArray) -> NDArray:
-    """ND_ramptb_color3: `valuet` where t is 0, as in MaterialX's own shaders."""
+    """ND_ramptb_color3: `valuet` where t is 1."""
     t = st[..., 1:]
-    return (1 - t) * np.array([0.9, 0.75, 0.3]) + t * np.array([0.3, 0.7, 0.6])
+    return t * np.array([0.9, 0.75, 0.3]) + (1 - t) * np.array([0.3, 0.7, 0.6])
 
 
 def of_standard(scenes, st: NDArray) -> NDArray:
