@@ -5,6 +5,7 @@ use super::control::Controls;
 use super::exit::Exits;
 use super::learn::learn;
 use super::normals::{self, Sources};
+use super::onward::Onward;
 use super::plan::Walk;
 use super::receivers::Receivers;
 use super::statistics::{ControlSums, Sums};
@@ -23,6 +24,7 @@ use std::sync::OnceLock;
 pub struct Region {
     pub techniques: Techniques,
     pub controls: Option<Controls>,
+    pub onward: Onward,
     sums: Sums,
 }
 
@@ -62,7 +64,7 @@ pub struct FieldSettings {
 /// How much of what older passes saw still counts: shares have moved since.
 const FADE: f64 = 0.5;
 
-/// The same of the sums for control variates: a regression hardly minds that shares have moved.
+/// The same of the sums for control variates and of efforts: a regression hardly minds that shares have moved.
 const FADE_CONTROLS: f64 = 0.8;
 
 impl Region {
@@ -71,7 +73,9 @@ impl Region {
         if let Some(old) = &mut self.sums.controls {
             old.fade(FADE_CONTROLS);
         }
+        self.sums.effort.fade(FADE_CONTROLS);
         self.sums.merge(seen);
+        self.onward = self.sums.effort.onward(self.onward);
         // The controls were seen under the shares that this pass had.
         if let (true, Some(sums)) = (controls, &self.sums.controls) {
             self.controls = Controls::fit(sums, &self.techniques.shares);
@@ -141,7 +145,7 @@ impl Field {
         // Where no light is known the point of entry's normal is left, here that of the region.
         let mut poe = self.elsewhere;
         poe.set_normal(0, receiver.normal);
-        Region { techniques: techniques.unwrap_or(poe), controls: None, sums: Sums::default() }
+        Region { techniques: techniques.unwrap_or(poe), controls: None, onward: Onward::UNKNOWN, sums: Sums::default() }
     }
 
     /// The paper's choice of a slab normal for a walk that starts in `region`.
@@ -178,6 +182,7 @@ impl Field {
             to.value(&region.techniques.shares)?;
             to.value(&u8::from(region.controls.is_some()))?;
             region.controls.as_ref().map_or(Ok(()), |controls| to.value(controls))?;
+            to.value(&region.onward)?;
             region.sums.save(to)?;
         }
         self.exits.as_ref().map_or(Ok(()), |exits| exits.save(to))
@@ -192,6 +197,7 @@ impl Field {
             let mut region = self.first_region(number);
             region.techniques.shares = from.value()?;
             region.controls = if from.value::<u8>()? == 1 { Some(from.value()?) } else { None };
+            region.onward = from.value()?;
             region.sums = Sums::load(from)?;
             self.regions[number as usize] = OnceLock::from(Box::new(region));
         }

@@ -16,6 +16,7 @@ pub mod fit;
 pub mod learn;
 pub mod look;
 mod normals;
+pub mod onward;
 pub mod plan;
 mod receivers;
 pub mod statistics;
@@ -32,6 +33,7 @@ use control::Controls;
 use exit::Exit;
 use field::Field;
 use glam::{Vec2, Vec3};
+use onward::Onward;
 use plan::{Plan, Walk, plans};
 use statistics::{RegionId, Statistics, Sums};
 use std::collections::BTreeMap;
@@ -97,6 +99,8 @@ pub struct Start<'a> {
     pub techniques: Techniques,
     pub region: Option<RegionId>,
     pub controls: Option<&'a Controls>,
+    /// Where paths go on in several ways.
+    pub onward: Option<Onward>,
 }
 
 impl Guide {
@@ -167,16 +171,24 @@ impl Guide {
         let home = self.home(instance) as usize;
         let Some(field) = self.fields[home].as_ref().filter(|_| !matches!(walk, Walk::Poe | Walk::Cp)) else {
             let techniques = normals::without_cache(self.classical, self.guided_first && walk != Walk::Cp);
-            return Start { techniques: at_entry(techniques, n), region: None, controls: None };
+            return Start { techniques: at_entry(techniques, n), region: None, controls: None, onward: None };
         };
         let entry = |techniques: Techniques| if walk == Walk::Mixture { at_entry(techniques, n) } else { techniques };
         match self.region(instance, p, n) {
             Some(region) => {
                 let of = field.region(region.region);
-                Start { techniques: entry(of.techniques), region: Some(region), controls: of.controls.as_ref() }
+                let (controls, onward) = (of.controls.as_ref(), field.exits.is_some().then_some(of.onward));
+                Start { techniques: entry(of.techniques), region: Some(region), controls, onward }
             }
-            None => Start { techniques: at_entry(field.elsewhere, n), region: None, controls: None },
+            None => Start { techniques: at_entry(field.elsewhere, n), region: None, controls: None, onward: None },
         }
+    }
+
+    /// What is known of walks that enter `instance` at `p` (walk space), outward normal `n`, if light that leaves it is guided.
+    pub fn onward(&self, instance: u32, p: Vec3, n: Vec3) -> Option<Onward> {
+        let RegionId { instance, region } = self.region(instance, p, n)?;
+        let field = self.fields[instance as usize].as_ref().filter(|field| field.exits.is_some())?;
+        Some(field.region(region).onward)
     }
 
     /// The paper's choice of a slab normal for a walk that enters `instance` at `p` (walk space), outward normal `n`.

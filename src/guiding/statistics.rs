@@ -1,6 +1,7 @@
 //! What is learned from walks: sums per region, gathered by tile and merged in the order of tiles.
 
 use super::directions::DirectionSums;
+use super::onward::Effort;
 use crate::math::Rgb;
 use crate::saved::{Loader, Saver};
 use crate::subsurface::technique::{PerTechnique, TECHNIQUES};
@@ -28,6 +29,7 @@ pub struct Sums {
     pub squares: [f64; 3],
     /// Squared estimate times density ratio, per channel of the estimate.
     pub second_moment: [[f64; TECHNIQUES]; 3],
+    pub effort: Effort,
     /// Sums for control variates.
     pub controls: Option<Box<ControlSums>>,
 }
@@ -51,6 +53,7 @@ impl Default for Sums {
             estimate: [0.0; 3],
             squares: [0.0; 3],
             second_moment: [[0.0; TECHNIQUES]; 3],
+            effort: Effort::default(),
             controls: None,
         }
     }
@@ -94,6 +97,7 @@ impl Sums {
         add(&mut self.estimate, &other.estimate);
         add(&mut self.squares, &other.squares);
         add(self.second_moment.as_flattened_mut(), other.second_moment.as_flattened());
+        self.effort.merge(&other.effort);
         if let Some(controls) = &other.controls {
             self.controls.get_or_insert_default().merge(controls);
         }
@@ -103,6 +107,7 @@ impl Sums {
         to.value(&self.walks)?;
         to.value(&[self.estimate, self.squares])?;
         to.value(&self.second_moment)?;
+        to.value(&self.effort)?;
         to.value(&u8::from(self.controls.is_some()))?;
         self.controls.as_deref().map_or(Ok(()), |controls| to.value(controls))
     }
@@ -111,8 +116,9 @@ impl Sums {
         let walks = from.value()?;
         let [estimate, squares] = from.value()?;
         let second_moment = from.value()?;
+        let effort = from.value()?;
         let controls = if from.value::<u8>()? == 1 { Some(Box::new(from.value()?)) } else { None };
-        Ok(Self { walks, estimate, squares, second_moment, controls })
+        Ok(Self { walks, estimate, squares, second_moment, effort, controls })
     }
 }
 

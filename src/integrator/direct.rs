@@ -16,7 +16,7 @@ use crate::scene::Coating;
 use glam::{Vec2, Vec3};
 
 /// Generator of the R2 sequence (Roberts 2018): inverse powers of the plastic number.
-const R2: Vec2 = Vec2::new(0.754_877_7, 0.569_840_3);
+pub(super) const R2: Vec2 = Vec2::new(0.754_877_7, 0.569_840_3);
 
 impl Path<'_> {
     /// Adds the light shapes crossed before `t_max`.

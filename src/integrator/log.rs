@@ -3,6 +3,7 @@
 use super::{Bucket, Path, add_to};
 use crate::film::FirstWalk;
 use crate::guiding::control::Controls;
+use crate::guiding::onward::Taken;
 use crate::guiding::statistics::{RegionId, Statistics};
 use crate::math::Rgb;
 use crate::subsurface::technique::PerTechnique;
@@ -24,6 +25,11 @@ struct Logged {
     first: bool,
     /// Subtracted from the estimate per unit of throughput.
     correction: Rgb,
+    /// Cost of what was done before it.
+    spent: u64,
+    ways: u32,
+    /// Variance between them, and their cost.
+    spread: (f64, u64),
 }
 
 /// A direction out of a boundary that was drawn with solid-angle pdf `pdf`.
@@ -56,13 +62,34 @@ impl Path<'_> {
         ratios: PerTechnique,
         throughput: Rgb,
         before: Rgb,
+        spent: u64,
         first: bool,
     ) {
         let bucket = self.bucket_of_media();
+        let ways = self.begun.filter(|_| first).map_or(1, |begun| begun.onward.ways);
         let (Some(region), Some(log)) = (region, &mut self.log) else { return };
         if log.walks.len() < MOST {
             let correction = controls.filter(|_| first).map_or(Rgb::ZERO, |controls| controls.correction(&ratios));
-            log.walks.push(Logged { region, ratios, throughput, before, bucket, first, correction });
+            let spread = (0.0, 0);
+            log.walks.push(Logged {
+                region,
+                ratios,
+                throughput,
+                before,
+                bucket,
+                first,
+                correction,
+                spent,
+                ways,
+                spread,
+            });
+        }
+    }
+
+    /// Notes how the path went on where its first walk came out.
+    pub(super) fn log_ways(&mut self, variance: f64, cost: u64) {
+        if let Some(walk) = self.log.as_mut().and_then(|log| log.walks.first_mut()) {
+            walk.spread = (variance, cost);
         }
     }
 
@@ -75,16 +102,26 @@ impl Path<'_> {
         }
     }
 
+    /// Walks and exits that are noted so far.
+    pub(super) fn logged(&self) -> [usize; 2] {
+        self.log.as_ref().map_or([0, 0], |log| [log.walks.len(), log.exits.len()])
+    }
+
     /// Once the path is over: what each walk brought goes to the statistics, control variates to the image.
     pub(super) fn finish_walks(&mut self) {
-        let after = self.sample.color();
+        self.finish_walks_since([0, 0]);
+    }
+
+    /// The same of those that were noted since `logged`.
+    pub(super) fn finish_walks_since(&mut self, logged: [usize; 2]) {
+        let (after, spent) = (self.sample.color(), self.cost());
         let Some(log) = &mut self.log else { return };
-        for exited in log.exits.drain(..).filter(|_| after.is_finite()) {
+        for exited in log.exits.drain(logged[1]..).filter(|_| after.is_finite()) {
             let brought = (after - exited.before) / exited.throughput.max_element();
             let sums = log.statistics.exits.entry(exited.cell).or_default();
             sums.add(exited.direction, exited.pdf, brought);
         }
-        for walk in log.walks.drain(..) {
+        for walk in log.walks.drain(logged[0]..) {
             add_to(&mut self.sample, walk.bucket, -walk.throughput * walk.correction);
             self.scene.lights.share_out(self.groups, -walk.throughput * walk.correction);
             if !after.is_finite() {
@@ -95,7 +132,11 @@ impl Path<'_> {
             let estimate = Rgb::select(carried, (after - walk.before) / walk.throughput, Rgb::ZERO);
             let weight = walk.throughput / walk.throughput.max_element();
             let sums = log.statistics.walks.entry(walk.region).or_default();
-            sums.add(&walk.ratios, weight * estimate, weight * (estimate - walk.correction));
+            let residual = weight * (estimate - walk.correction);
+            sums.add(&walk.ratios, weight * estimate, residual);
+            let (way_variance, ways_cost) = walk.spread;
+            let taken = Taken { cost: spent - walk.spent, ways: walk.ways, way_variance, ways_cost };
+            sums.effort.add(estimate, residual, &taken);
             if walk.first && self.guide.controls {
                 sums.controls.get_or_insert_default().add(&walk.ratios, estimate);
             }

@@ -2,11 +2,11 @@
 
 use super::bent::{Bent, Refracted};
 use super::collision::{CollisionLight, Into};
+use super::leave::Begun;
 use super::nest::Nest;
 use super::watch::drawn;
 use super::{Path, Previous};
-use crate::bsdf::{Boundary, Bsdf, Event, Response, Side, Surface};
-use crate::guiding::exit::Exit;
+use crate::bsdf::{Boundary, Event, Response, Side, Surface};
 use crate::guiding::look::shares_by_kind;
 use crate::guiding::plan::{Plan, Walk};
 use crate::interaction::Interaction;
@@ -77,6 +77,9 @@ impl<'a> Path<'a> {
         let p = passage.enclosure.point(&entry);
         if let (Some(within), Boundary::IndexMatched, true) = (&around, boundary, scene.has_light_shapes()) {
             self.meet_lights_within(&passage.enclosure, p, wi, entry, within);
+        }
+        if boundary == Boundary::Diffuse {
+            self.outlasts(instance, p, si.ng, sampler)?;
         }
         let mut start = Start { p, d: wi, normal: si.ng, hit: entry, weight: Rgb::ONE };
         let mut last = None;
@@ -213,7 +216,11 @@ impl<'a> Path<'a> {
         let u = if self.guide.stratify { sampler.next_1d() } else { sampler.random() };
         let logs = self.log.is_some() && guide.region.is_some();
         let throughput = scale * start.weight;
-        let (before, segments) = (self.sample, self.stats.walk.steps);
+        let (before, segments, spent) = (self.sample, self.stats.walk.steps, self.cost());
+        if passage.first {
+            let throughput = throughput.max_element();
+            self.begun = guide.onward.map(|onward| Begun { onward, throughput });
+        }
         let mut visitor: Collisions<'_, LIT> = Collisions {
             passage,
             light,
@@ -230,7 +237,7 @@ impl<'a> Path<'a> {
         self.stats.shadow_rays += shadow_rays;
         if logs {
             let ratios = end.densities.ratios();
-            self.log_walk(guide.region, guide.controls, ratios, throughput, before.color(), passage.first);
+            self.log_walk(guide.region, guide.controls, ratios, throughput, before.color(), spent, passage.first);
         }
         if passage.first && self.guide.watched() {
             let normal = |lane| if kind == Walk::Cp { late } else { Some(techniques.normal(lane)) };
@@ -309,22 +316,6 @@ impl<'a> Path<'a> {
         end
     }
 
-    /// Lambertian transmission out of a diffuse boundary at `p`, walk space.
-    fn leave_diffuse(&mut self, exit: &Interaction, p: Vec3, sampler: &mut Sampler) -> Option<()> {
-        // wo is below; the exit lobe does not depend on it.
-        let bsdf = Bsdf::lambert_exit();
-        let lights = self.guide.exit_choice(exit.instance, p, exit.ng);
-        let cell = self.guide.exit_cell(exit.instance, p, exit.ng);
-        let guide = cell.and_then(|cell| self.guide.exit(cell));
-        self.next_event(exit, &bsdf, lights, guide, sampler);
-        let (wi, f, pdf) = leave(exit, &bsdf, guide, sampler)?;
-        (wi.dot(exit.ng) > 0.0).then_some(())?;
-        self.log_exit(cell, wi, pdf);
-        self.throughput *= f / pdf;
-        self.bounce(exit, wi, false, pdf, lights, Some(Response::Scattered))?;
-        self.roulette(sampler)
-    }
-
     /// A dielectric boundary seen from inside at `p`, walk space: `Some(Some(wi))` reflected back in along wi,
     /// `Some(None)` out.
     fn meet_dielectric(
@@ -352,21 +343,6 @@ impl<'a> Path<'a> {
             }
         }
     }
-}
-
-/// Direction, f |cos| and solid-angle pdf of what leaves a diffuse boundary, by the mixture with `guide` if there is one.
-fn leave(exit: &Interaction, bsdf: &Bsdf, guide: Option<&Exit>, sampler: &mut Sampler) -> Option<(Vec3, Rgb, f32)> {
-    let (u_choice, u) = (sampler.next_1d(), sampler.next_2d());
-    let Some(guide) = guide else {
-        let chosen = bsdf.sample(u_choice, u)?;
-        return Some((exit.frame.to_world(chosen.wi), chosen.f, chosen.pdf));
-    };
-    let wi = match guide.sample(u_choice, u) {
-        Ok(wi) => wi,
-        Err(u_choice) => exit.frame.to_world(bsdf.sample(u_choice, u)?.wi),
-    };
-    let local = exit.local(wi);
-    (local.z > 0.0).then(|| (wi, bsdf.eval(local), guide.pdf(bsdf.pdf(local), wi)))
 }
 
 /// Unit vector from a collision to the boundary point `to`; `None` on the boundary itself.

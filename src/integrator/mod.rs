@@ -5,6 +5,7 @@ mod bent;
 mod collision;
 mod direct;
 mod footprint;
+mod leave;
 mod lobes;
 mod log;
 mod manifold;
@@ -22,6 +23,7 @@ pub use probe::{LIGHTS as PROBED_LIGHTS, beams_at, probe};
 use crate::bsdf::Response;
 use crate::camera::CameraRay;
 use crate::film::Sample;
+use crate::guiding::onward::{RAY_COST, SHADOW_RAY_COST};
 use crate::guiding::{Guide, LightsAt};
 use crate::interaction::Interaction;
 use crate::math::Rgb;
@@ -32,6 +34,7 @@ use bent::{Aim, Refracted};
 use bytemuck::{Pod, Zeroable};
 use footprint::Cone;
 use glam::{Vec2, Vec3};
+use leave::Begun;
 use lobes::By;
 use nest::{Nest, crossed};
 
@@ -115,6 +118,7 @@ struct Path<'a> {
     /// Nothing but mirrors since the camera: what it meets, the camera sees.
     looks: bool,
     by: By,
+    begun: Option<Begun>,
     /// Of the last collision of a walk.
     aim: Option<Aim>,
     /// Share of the pixel that nothing has held up yet, over the probability of having come here; 0 once something has.
@@ -197,6 +201,7 @@ impl<'a> Path<'a> {
             previous: Previous::Camera,
             looks: true,
             by: By::nothing(scene.lights.has_responses()),
+            begun: None,
             aim: None,
             seen: 1.0,
             inside: Nest::OUTSIDE,
@@ -215,6 +220,11 @@ impl<'a> Path<'a> {
 }
 
 impl Path<'_> {
+    /// What this path and those before it cost.
+    fn cost(&self) -> u64 {
+        self.stats.walk.steps + RAY_COST * self.stats.rays + SHADOW_RAY_COST * self.stats.shadow_rays
+    }
+
     /// One segment and the vertex at its end; `None` when the path is over.
     fn segment(&mut self, sampler: &mut Sampler) -> Option<()> {
         if let Some(body) = self.inside.scattering() {
@@ -303,6 +313,12 @@ impl Path<'_> {
     /// Adds light of `source`, a light or GLOW, that the segment has met.
     fn add(&mut self, source: u32, light: Rgb) {
         self.add_by(self.by.last, source, light);
+    }
+
+    /// Adds what belongs to no light: a known expectation, of which the path brings or takes the rest.
+    fn add_unlit(&mut self, bucket: Bucket, light: Rgb) {
+        add_to(&mut self.sample, bucket, light);
+        self.scene.lights.share_out(self.groups, light);
     }
 
     /// Adds light that a vertex has sent this way.
