@@ -9,8 +9,8 @@ use crate::math::{Rgb, mean};
 use bytemuck::{Pod, Zeroable};
 
 /// Steps of walks that a ray to a surface, with what is shaded there, and a shadow ray count for: seconds would not give the same
-/// image twice. Larger than their times, which are nearer 3 and 2: of weights of 1, 3, 6 and 15 the largest gave the best efficiency
-/// (docs/performance.md), since the variance between ways, drawn from a lattice, is less than that of as many independent ones.
+/// image twice. Larger than their times, which are nearer 3 and 2: 15 was better than 6 (docs/performance.md), since the variance of
+/// the mean of several ways, drawn from a lattice, is less than that of as many independent ones.
 pub const RAY_COST: u64 = 15;
 pub const SHADOW_RAY_COST: u64 = 9;
 
