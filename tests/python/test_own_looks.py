@@ -260,6 +260,15 @@ def clear(stage: Usd.Stage, name: str, ior: float, color: tuple[float, float, fl
     material.CreateSurfaceOutput("mtlx").ConnectToSource(out)
 
 
+def clear_milk(stage: Usd.Stage, ior: float) -> None:
+    """Its priority was that of its look: it goes to the prim."""
+    surface = stage.GetPrimAtPath("/World/MilkLook/Surface")
+    priority = surface.GetAttribute("inputs:subsurfacePriority").Get()
+    primvars = UsdGeom.PrimvarsAPI(stage.GetPrimAtPath("/World/Drink/Milk"))
+    primvars.CreatePrimvar("dermis:mediumPriority", Sdf.ValueTypeNames.Int).Set(priority)
+    clear(stage, "MilkLook", ior, tuple(INNER))
+
+
 def passed(stage: Usd.Stage, x: float, y: float) -> NDArray:
     """What a narrow beam along -Z at (x, y) meets of a glowing wall behind everything."""
     wall = UsdGeom.Mesh.Define(stage, "/Wall")
@@ -296,7 +305,7 @@ def test_glass_wins_over_milk_within_its_wall(usd_scenes):
     for name in ("Spoon", "Ice"):
         stage.GetPrimAtPath(f"/World/Drink/{name}").SetActive(False)
     clear(stage, "GlassLook", 1.5, tuple(GLASS))
-    clear(stage, "MilkLook", 1.35, tuple(INNER))
+    clear_milk(stage, 1.35)
     found = passed(stage, -2.6, 1.0)
     stack = fresnel(1, 1.5, 1.35, 1.5, 1)
     np.testing.assert_allclose(found, stack * GLASS**0.22 * INNER**1.78, rtol=0.015)
@@ -310,7 +319,7 @@ def test_ice_wins_over_milk(usd_scenes):
     stage.GetPrimAtPath("/World/Drink/Spoon").SetActive(False)
     # Without refraction: the ray is straight, and the glass that tints nothing ends the milk.
     clear(stage, "GlassLook", 1.0, (1, 1, 1))
-    clear(stage, "MilkLook", 1.0, tuple(INNER))
+    clear_milk(stage, 1.0)
     clear(stage, "IceLook", 1.0, tuple(GLASS))
     x, y = -2.9, 1.7
     ice = stage.GetPrimAtPath("/World/Drink/Ice")

@@ -54,6 +54,19 @@ def test_a_straight_tube_has_the_area_of_its_cylinder(flat):
     assert area(cone.prims["/C"]) == pytest.approx(np.pi * (0.3 * np.hypot(3, 0.3) + 0.09), rel=3e-3)
 
 
+def test_a_bent_tube_keeps_its_width(flat):
+    """Cut half way between two pieces, each has the area of its cylinder; where a curve turns back, the cut ends at
+    the limit of mitres."""
+    bent = flat(curves("(0, 0, 0), (0, 0, 2), (2, 0, 2)", "[3]", "[0.5]", type="linear"))
+    assert area(bent.prims["/C"]) == pytest.approx(np.pi * 0.5 * 4 + 2 * np.pi * 0.25**2, rel=2e-3)
+    sharp = flat(curves("(0, 0, 0), (0, 0, 2), (1.6, 0, 0.6)", "[3]", "[0.2]", type="linear"))
+    assert area(sharp.prims["/C"]) == pytest.approx(
+        np.pi * 0.2 * (2 + np.hypot(1.6, 1.4)) + 2 * np.pi * 0.1**2, rel=3e-3
+    )
+    back = flat(curves("(0, 0, 0), (0, 0, 2), (1e-4, 0, 0)", "[3]", "[0.2]", type="linear")).prims["/C"]
+    assert np.isfinite(back["points"]).all() and 2.0 < back["points"][:, 2].max() < 2.0 + 4.0 * 0.11
+
+
 SHAPES = [
     ("linear", "nonperiodic"),
     ("linear", "periodic"),
