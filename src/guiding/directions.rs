@@ -132,9 +132,22 @@ impl DirectionSums {
 
 fn bin_of(w: Vec3) -> usize {
     let band = ((w.z * 0.5 + 0.5) * BANDS as f32).clamp(0.0, BANDS as f32 - 1.0) as usize;
-    let turn = w.y.atan2(w.x) / TAU + 0.5;
-    let sector = (turn * SECTORS as f32).clamp(0.0, SECTORS as f32 - 1.0) as usize;
-    band * SECTORS + sector
+    band * SECTORS + sector_of(w.x, w.y)
+}
+
+/// The sector of a direction, from -x on towards -y: by slopes, without an arc tangent.
+fn sector_of(x: f32, y: f32) -> usize {
+    const { assert!(SECTORS == 16) };
+    /// Tangent of the 22.5 degrees of a sector.
+    const SECTOR: f32 = std::f32::consts::SQRT_2 - 1.0;
+    let (along, up) = (x.abs(), y.abs());
+    let from_axis = usize::from(up >= SECTOR * along) + usize::from(up >= along) + usize::from(SECTOR * up >= along);
+    match (x < 0.0, y < 0.0) {
+        (true, true) => from_axis,
+        (false, true) => 7 - from_axis,
+        (false, false) => 8 + from_axis,
+        (true, false) => 15 - from_axis,
+    }
 }
 
 #[cfg(test)]
@@ -166,6 +179,15 @@ mod tests {
             assert!((ratio - 1.0).abs() < 0.1, "{w}: {ratio}");
         }
         assert!(Directions::fit([(&DirectionSums::default(), 1.0)]).is_none());
+    }
+
+    #[test]
+    fn sectors_are_equal_angles() {
+        for i in 0..16_000 {
+            let turn = (i as f32 + 0.5) / 16_000.0;
+            let (sin, cos) = ((turn - 0.5) * TAU).sin_cos();
+            assert_eq!(sector_of(cos, sin), (turn * SECTORS as f32) as usize, "{turn}");
+        }
     }
 
     /// Chi-square of sampled bins, and the integral of the pdf by samples of itself: E[1 / pdf] is the sphere's area.
