@@ -25,9 +25,10 @@ pub struct Effort {
     moments: [f64; 2],
     /// From the start of the walk to the end of the path.
     cost: f64,
-    /// Of 1 over the number of ways.
+    /// Of the number of ways, and of 1 over it.
+    ways: f64,
     inverse: f64,
-    /// Walks with several ways, if they came out.
+    /// Walks that would go on in several ways, whether they came out or not.
     forked: f64,
     /// Of those: variance of one way, and its cost.
     way_variance: f64,
@@ -66,8 +67,8 @@ impl Onward {
 /// Most ways: 16 were no better where light comes from a card, and worse elsewhere.
 const MOST_WAYS: f64 = 4.0;
 
-/// Walks from which sums say something.
-const LEAST_WALKS: f64 = 64.0;
+/// Walks from which sums say something: few may have missed the light that the others find.
+const LEAST_WALKS: f64 = 256.0;
 
 /// Share of the variance that is the walk's own, at least: what is left of a difference of two estimates may be anything.
 const LEAST_OWN: f64 = 0.05;
@@ -78,8 +79,11 @@ const CAMERA_COST: f64 = (RAY_COST + SHADOW_RAY_COST) as f64;
 /// Numbers of an [`Effort`].
 const SUMS: usize = size_of::<Effort>() / size_of::<f64>();
 
-/// Least probability of survival: it bounds weights.
+/// Least probability of survival.
 const LEAST_SURVIVAL: f32 = 0.1;
+
+/// Largest throughput of a walk that survives, over that of the first: regions may bring more than is known of them.
+const MOST_LIFTED: f32 = 2.0;
 
 impl Effort {
     /// A walk that brought `estimate` per unit of throughput, `residual` less the controls.
@@ -90,6 +94,7 @@ impl Effort {
         self.moments[0] += gray;
         self.moments[1] += gray * gray;
         self.cost += taken.cost as f64;
+        self.ways += f64::from(taken.ways);
         self.inverse += 1.0 / f64::from(taken.ways);
         if taken.ways > 1 {
             self.forked += 1.0;
@@ -127,7 +132,7 @@ impl Effort {
         }
         let (way_variance, way_cost) = (self.way_variance / self.forked, self.way_cost / self.forked);
         let own = (variance - way_variance * self.inverse / self.walks).max(LEAST_OWN * variance);
-        let own_cost = CAMERA_COST + (cost - way_cost * (self.forked / self.inverse).max(1.0)).max(1.0);
+        let own_cost = CAMERA_COST + (cost - way_cost * self.ways / self.walks).max(1.0);
         let best = (way_variance / way_cost.max(1.0) * own_cost / own).sqrt();
         best.is_finite().then(|| best.round().clamp(1.0, MOST_WAYS) as u32)
     }
@@ -138,7 +143,7 @@ impl Onward {
     /// `from` there with `first`; `None`: always.
     pub fn survival(&self, throughput: f32, from: &Self, first: f32) -> Option<f32> {
         let known = self.worth > 0.0 && from.worth > 0.0 && first > 0.0;
-        let survival = (throughput / first) * (self.worth / from.worth);
+        let survival = (throughput / first) * (self.worth / from.worth).max(1.0 / MOST_LIFTED);
         (known && survival < 1.0).then(|| survival.max(LEAST_SURVIVAL))
     }
 }
@@ -171,6 +176,13 @@ mod tests {
         assert_eq!(ways(1.0, 100.0, 1), MOST_WAYS as u32);
         assert_eq!(ways(1.0, 0.0, 10), 1);
         assert_eq!(Effort::default().onward(Onward::UNKNOWN), Onward::UNKNOWN);
+        // Half of the walks in 4 ways: the ways' cost is no part of the walks' own, whoever takes them.
+        let mut mixed = effort(1.0, 4.0, 124);
+        for i in 0..1000 {
+            let gray = Rgb::splat(if i % 2 == 0 { 4.0 + 2.0_f32.sqrt() } else { 4.0 - 2.0_f32.sqrt() });
+            mixed.add(gray, gray, &Taken { cost: 100 + 4 * 124, ways: 4, way_variance: 4.0, ways_cost: 4 * 124 });
+        }
+        assert_eq!(mixed.onward(Onward::UNKNOWN).ways, 2);
     }
 
     #[test]
@@ -180,6 +192,9 @@ mod tests {
         assert!((onward.worth - (2.0_f32 / 200.0).sqrt()).abs() < 1e-4);
         // The same walk, for a quarter of the light: as often.
         assert_eq!(onward.survival(0.5, &onward, 2.0), Some(0.25));
+        // However little is known of it, what survives is no firefly.
+        let dim = Onward { worth: 1e-3 * onward.worth, ..onward };
+        assert_eq!(dim.survival(1.0, &onward, 2.0), Some(0.5 / MOST_LIFTED));
         assert_eq!(onward.survival(2.0, &onward, 2.0), None);
         assert_eq!(onward.survival(1e-6, &onward, 2.0), Some(LEAST_SURVIVAL));
         assert_eq!(Onward::UNKNOWN.survival(0.5, &onward, 2.0), None);

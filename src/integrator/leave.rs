@@ -24,6 +24,8 @@ pub(super) struct Begun {
     pub onward: Onward,
     /// Largest channel.
     pub throughput: f32,
+    /// Its place among the walks that are logged.
+    pub logged: Option<usize>,
 }
 
 /// Where a path that goes on in several ways parts.
@@ -106,7 +108,7 @@ impl Path<'_> {
         }
         let n = f64::from(ways);
         let variance = (moments[1] - moments[0] * moments[0] / n).max(0.0) / (n - 1.0);
-        self.log_ways(variance, self.cost() - begin);
+        self.log_ways(begun.logged, variance, self.cost() - begin);
     }
 
     /// Whether a walk that enters at `p` (walk space), outward normal `n`, behind a path's first one is worth its time. What it is

@@ -54,7 +54,7 @@ pub struct WalkLog {
 }
 
 impl Path<'_> {
-    /// Notes a walk that started with `throughput` when the path had brought `before`.
+    /// Notes a walk that started with `throughput` when the path had brought `before`; its place, if it is noted.
     pub(super) fn log_walk(
         &mut self,
         region: Option<RegionId>,
@@ -64,11 +64,12 @@ impl Path<'_> {
         before: Rgb,
         spent: u64,
         first: bool,
-    ) {
+    ) -> Option<usize> {
         let bucket = self.bucket_of_media();
         let ways = self.begun.filter(|_| first).map_or(1, |begun| begun.onward.ways);
-        let (Some(region), Some(log)) = (region, &mut self.log) else { return };
-        if log.walks.len() < MOST {
+        let (Some(region), Some(log)) = (region, &mut self.log) else { return None };
+        let place = log.walks.len();
+        if place < MOST {
             let correction = controls.filter(|_| first).map_or(Rgb::ZERO, |controls| controls.correction(&ratios));
             let spread = (0.0, 0);
             log.walks.push(Logged {
@@ -84,12 +85,13 @@ impl Path<'_> {
                 spread,
             });
         }
+        (place < MOST).then_some(place)
     }
 
-    /// Notes how the path went on where its first walk came out.
-    pub(super) fn log_ways(&mut self, variance: f64, cost: u64) {
-        if let Some(walk) = self.log.as_mut().and_then(|log| log.walks.first_mut()) {
-            walk.spread = (variance, cost);
+    /// Notes how the path went on where its first walk, noted at `place`, came out.
+    pub(super) fn log_ways(&mut self, place: Option<usize>, variance: f64, cost: u64) {
+        if let (Some(place), Some(log)) = (place, &mut self.log) {
+            log.walks[place].spread = (variance, cost);
         }
     }
 

@@ -208,6 +208,9 @@ impl<'a> Path<'a> {
         light: Option<CollisionLight>,
         sampler: &mut Sampler,
     ) -> WalkEnd<BoundaryHit> {
+        if passage.first {
+            self.begun = None; // that of a body which was passed before
+        }
         if !passage.plan.exact {
             return self.conditional_walk(passage, start, light, sampler);
         }
@@ -219,7 +222,7 @@ impl<'a> Path<'a> {
         let (before, segments, spent) = (self.sample, self.stats.walk.steps, self.cost());
         if passage.first {
             let throughput = throughput.max_element();
-            self.begun = guide.onward.map(|onward| Begun { onward, throughput });
+            self.begun = guide.onward.map(|onward| Begun { onward, throughput, logged: None });
         }
         let mut visitor: Collisions<'_, LIT> = Collisions {
             passage,
@@ -237,7 +240,11 @@ impl<'a> Path<'a> {
         self.stats.shadow_rays += shadow_rays;
         if logs {
             let ratios = end.densities.ratios();
-            self.log_walk(guide.region, guide.controls, ratios, throughput, before.color(), spent, passage.first);
+            let before = before.color();
+            let logged = self.log_walk(guide.region, guide.controls, ratios, throughput, before, spent, passage.first);
+            if let (true, Some(begun)) = (passage.first, &mut self.begun) {
+                begun.logged = logged;
+            }
         }
         if passage.first && self.guide.watched() {
             let normal = |lane| if kind == Walk::Cp { late } else { Some(techniques.normal(lane)) };

@@ -4,6 +4,7 @@ use super::Lights;
 use crate::error::Warning;
 use crate::flat::{self, LIGHT_AOV, Prims};
 use crate::math::Rgb;
+use glam::Vec3;
 
 /// In place of a light: what materials emit by themselves.
 pub const GLOW: u32 = u32::MAX;
@@ -20,13 +21,20 @@ pub struct Groups {
     /// Per light, a bit per AOV.
     of_light: Vec<u64>,
     of_glow: u64,
-    /// Of the lights, those that each AOV shows: its part of what is the same for all lights.
+    /// What the lights that each AOV shows give to the scene, without shadows, of what all do: its part of what belongs to none.
     shares: Vec<f32>,
 }
 
 impl Lights {
-    /// Takes groups from the flat lights. An AOV is named after a group, or a light by its prim's name or path.
-    pub fn group(&mut self, aovs: &[String], lights: &Prims<flat::Light>, warnings: &mut Vec<Warning>) {
+    /// Takes groups from the flat lights. An AOV is named after a group, or a light by its prim's name or path. `places`: some of
+    /// those that are lit.
+    pub fn group(
+        &mut self,
+        aovs: &[String],
+        lights: &Prims<flat::Light>,
+        places: &[Vec3],
+        warnings: &mut Vec<Warning>,
+    ) {
         let labels: Vec<&str> = aovs.iter().filter_map(|aov| aov.strip_prefix(LIGHT_AOV)).collect();
         if labels.len() > MOST {
             let message = format!("aovs: {} are of lights; the first {MOST} are rendered", labels.len());
@@ -45,10 +53,11 @@ impl Lights {
         let of_light: Vec<u64> = self.paths.iter().map(|path| mask(path)).collect();
         let bit = |i: usize| 1_u64 << i;
         let default = labels.iter().position(|label| *label == DEFAULT_GROUP).map_or(0, bit);
+        let weights = if labels.is_empty() { Vec::new() } else { self.shares_at(places) };
         let share = |i: usize| match of_light.len() {
             // Only materials glow.
             0 => f32::from(default & bit(i) != 0),
-            all => of_light.iter().filter(|&&mask| mask & bit(i) != 0).count() as f32 / all as f32,
+            _ => of_light.iter().zip(&weights).filter(|(mask, _)| *mask & bit(i) != 0).map(|(_, weight)| weight).sum(),
         };
         let shares = (0..labels.len()).map(share).collect();
         for (_, label) in labels.iter().enumerate().filter(|(i, _)| (known | default) & bit(*i) == 0) {
@@ -57,6 +66,21 @@ impl Lights {
             warnings.push(Warning::new("render settings", message));
         }
         self.groups = Groups { of_light, of_glow: default, shares };
+    }
+
+    /// What each light gives of all light at `places`, without shadows, on average.
+    fn shares_at(&self, places: &[Vec3]) -> Vec<f32> {
+        let mut shares = vec![0.0_f32; self.lights.len()];
+        for &p in places {
+            let weights: Vec<f32> = self.lights.iter().map(|light| light.importance(p, None).min(f32::MAX)).collect();
+            let sum: f64 = weights.iter().map(|&weight| f64::from(weight)).sum();
+            for (share, weight) in shares.iter_mut().zip(weights).filter(|_| sum > 0.0) {
+                *share += (f64::from(weight) / sum) as f32;
+            }
+        }
+        let sum: f32 = shares.iter().sum();
+        let alike = 1.0 / shares.len() as f32;
+        shares.iter().map(|share| if sum > 0.0 { share / sum } else { alike }).collect()
     }
 
     /// Adds the light of `source`, a light or [`GLOW`], to the sums that show it.

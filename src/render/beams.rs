@@ -118,8 +118,8 @@ mod tests {
     fn trained(scene: &Scene, is_over: bool) -> (Guide, u64) {
         let mut guide = Guide::new(scene, &settings());
         let (settings, journal) = (settings(), Journal::default());
-        let trained =
-            Training { scene, settings: &settings, journal, limit: None, is_over: || is_over }.train(&mut guide);
+        let trained = Training { scene, settings: &settings, journal, limit: None, points: None, is_over: || is_over }
+            .train(&mut guide);
         (guide, trained.records)
     }
 

@@ -20,7 +20,7 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 /// Raised when an older file could be misread.
-const VERSION: u32 = 5;
+const VERSION: u32 = 6;
 /// As a number of this machine: another byte order does not match.
 const MAGIC: u64 = u64::from_le_bytes(*b"DERMISCP");
 /// Bytes of the first three numbers.
@@ -55,6 +55,23 @@ impl Keep {
         let header = || self.header(magic, &mut Loader(&mut BufReader::new(File::open(&file)?)));
         header().map_err(|error| self.fault(&file, &error))?;
         Ok(Some(file))
+    }
+
+    /// The number of records that kept samples were made with, if they are gone on from.
+    ///
+    /// # Errors
+    /// As [`Self::resumed`].
+    pub(super) fn points(&self) -> Result<Option<u32>> {
+        if !self.has_samples() {
+            return Ok(None);
+        }
+        let read = || {
+            let mut file = BufReader::new(File::open(&self.file)?);
+            let mut from = Loader(&mut file);
+            self.header(MAGIC, &mut from)?;
+            from.value::<u32>()
+        };
+        read().map(Some).map_err(|error| self.fault(&self.file, &error))
     }
 
     /// Whether samples were kept that are gone on from.
@@ -153,11 +170,11 @@ impl Run<'_> {
     ) -> io::Result<()> {
         let mut to = Saver(writer);
         keep.save_header(MAGIC, &mut to)?;
+        to.value(&self.points)?;
         to.value(&u32::from(schedule.phase == Phase::Pilot))?;
         to.array(&schedule.budget)?;
         to.value(&at.done)?;
         to.value(&self.progress.stats())?;
-        to.value(&self.learned.records)?;
         to.value(&self.learned.learned_passes)?;
         to.value(&self.finished.load(Ordering::Relaxed))?;
         let adaptive = serde_json::to_vec(&locked(&self.progress.report).adaptive)?;
@@ -190,6 +207,7 @@ impl Run<'_> {
         (passes, schedule): &mut (Passes, Schedule),
     ) -> io::Result<()> {
         keep.header(MAGIC, from)?;
+        from.value::<u32>()?; // training has asked for it
         let phase = if from.value::<u32>()? == 1 { Phase::Pilot } else { Phase::Image };
         if phase != schedule.phase {
             *schedule = Schedule::image(self.settings, schedule.budget.clone());
@@ -198,11 +216,6 @@ impl Run<'_> {
         passes.done = from.value()?;
         // Training was counted when it was done first.
         *locked(&self.progress.stats) = from.value()?;
-        if self.learned.records != from.value::<u64>()? {
-            let text =
-                "a time limit bounded its training, which this one does not go on from: is the .training file gone?";
-            return Err(io::Error::new(io::ErrorKind::InvalidData, text));
-        }
         self.learned.learned_passes = from.value()?;
         self.finished.store(from.value()?, Ordering::Relaxed);
         let adaptive: Option<Adaptive> = serde_json::from_slice(&from.bytes(1 << 16)?)?;

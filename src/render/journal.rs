@@ -80,14 +80,27 @@ impl<'a> Journal<'a> {
         Some((all, stats))
     }
 
-    /// What a former process found next, or `look` finds now.
-    pub fn next<T: Find>(&mut self, look: impl FnOnce() -> (Vec<T>, PathStats)) -> (Vec<T>, PathStats) {
-        if let Some(keep) = self.keep.filter(|_| self.file.is_none()) {
-            match self.open(keep) {
-                Ok(file) => self.file = Some(file),
-                Err(error) => self.give_up(&error),
-            }
+    /// Begins a training that looks at `points`, or goes on with one that looks at a number which `suits`; that number.
+    pub fn begin(&mut self, points: u32, suits: impl Fn(u32) -> bool) -> u32 {
+        let Some(keep) = self.keep else { return points };
+        match self.open(keep) {
+            Ok(file) => self.file = Some(file),
+            Err(error) => self.give_up(&error),
         }
+        let begin = self.file.as_mut().and_then(|file| file.stream_position().ok());
+        let kept = self.kept::<u32>().and_then(|(kept, _)| kept.first().copied());
+        self.resumed = 0; // the number is no find
+        if let Some(kept) = kept.filter(|&kept| suits(kept)) {
+            return kept;
+        }
+        if let (Some(_), Some(begin)) = (kept, begin) {
+            self.forget_from(begin);
+        }
+        self.append(&[points], &PathStats::default());
+        points
+    }
+
+    fn next<T: Find>(&mut self, look: impl FnOnce() -> (Vec<T>, PathStats)) -> (Vec<T>, PathStats) {
         self.kept().unwrap_or_else(|| {
             let found = look();
             self.append(&found.0, &found.1);
@@ -106,11 +119,17 @@ impl<'a> Journal<'a> {
                 Some((found, stats))
             }
             Err(_) => {
-                self.reads = false;
-                // Where that fails, so will the next write, which says so.
-                let _ = file.set_len(begin).and_then(|()| file.seek(io::SeekFrom::Start(begin)));
+                self.forget_from(begin);
                 None
             }
+        }
+    }
+
+    fn forget_from(&mut self, begin: u64) {
+        self.reads = false;
+        if let Some(file) = &mut self.file {
+            // Where that fails, so will the next write, which says so.
+            let _ = file.set_len(begin).and_then(|()| file.seek(io::SeekFrom::Start(begin)));
         }
     }
 
@@ -229,6 +248,7 @@ mod tests {
     fn train(keep: Option<&Keep>) -> (Vec<Beam>, PathStats, u32, u64) {
         let looked = Cell::new(0);
         let mut journal = Journal::new(keep);
+        assert_eq!(journal.begin(POINTS, |points| points == POINTS), POINTS);
         let look = |points: Range<u32>| {
             looked.set(looked.get() + points.len() as u32);
             let stats = PathStats { rays: points.len() as u64, ..PathStats::default() };
@@ -250,11 +270,13 @@ mod tests {
         let first = keep(false, 1);
         assert_eq!(train(Some(&first)).2, POINTS);
         let whole = fs::read(first.journal()).unwrap();
+        let number = whole.len() / 200; // more than the number of points takes, less than a chunk
         let chunk = (whole.len() - 20) / 2; // a little more than one of them
         for (length, missing) in [
             (0, POINTS),
             (13, POINTS),
             (20, POINTS),
+            (number, POINTS),
             (chunk / 2, POINTS),
             (chunk + 20, POINTS - CHUNK),
             (whole.len() - 1, 100),
@@ -288,6 +310,20 @@ mod tests {
     }
 
     #[test]
+    fn numbers_that_do_not_suit_begin_anew() {
+        let first = keep(false, 3);
+        train(Some(&first));
+        let again = keep(true, 3);
+        let number = |points, most| Journal::new(Some(&again)).begin(points, |kept| kept <= most);
+        assert_eq!(number(100, POINTS), POINTS, "what is kept suits");
+        assert_eq!(train(Some(&again)).2, 0);
+        assert_eq!(number(100, 100), 100, "too many");
+        assert_eq!(number(50, 100), 100);
+        assert_eq!(train(Some(&again)).2, POINTS, "another number");
+        fs::remove_file(first.journal()).unwrap();
+    }
+
+    #[test]
     fn what_cannot_be_kept_is_said() {
         let nowhere = Keep { file: "/nowhere/at/all".into(), ..keep(false, 1) };
         let mut journal = Journal::new(Some(&nowhere));
@@ -295,6 +331,7 @@ mod tests {
             let beam = |_| Beam { p: Vec3::X, towards: Vec3::Y, length: 1.0, power: 1.0 };
             (points.map(beam).collect(), PathStats::default())
         };
+        assert_eq!(journal.begin(3, |_| false), 3);
         assert_eq!(journal.gather(3, || false, look).expect("all of it").0.len(), 3);
         assert!(journal.gather(3, || true, look).is_none());
         assert!(journal.fault.expect("a fault").to_string().starts_with("/nowhere/at/all.training: checkpoint: "));

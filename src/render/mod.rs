@@ -151,7 +151,7 @@ pub fn render(
     keep: Option<&Keep>,
 ) -> Result<()> {
     let mut run = Run::new(scene, settings, progress, keep);
-    if !run.train(film) {
+    if !run.train(film)? {
         return Ok(());
     }
     let pilot = (settings.noise_threshold > 0.0 && settings.samples > adaptive::PILOT_SAMPLES)
@@ -187,6 +187,8 @@ struct Run<'a> {
     keeper: Option<Keeper<'a>>,
     guide: Guide,
     learned: GuideStats,
+    /// Records that training asked for.
+    points: u32,
     start: Instant,
     limit: Option<Duration>,
     /// Samples of one pixel, summed over tiles: done, and to be done.
@@ -203,6 +205,7 @@ impl<'a> Run<'a> {
             keeper: keep.map(Keeper::new),
             guide: Guide::new(scene, settings),
             learned: GuideStats::default(),
+            points: 0,
             start: Instant::now(),
             limit: (settings.time_limit > 0.0).then(|| Duration::from_secs_f32(settings.time_limit)),
             finished: AtomicU64::new(0),
@@ -212,20 +215,21 @@ impl<'a> Run<'a> {
 
     /// Whether passes follow: a checkpoint holds what was learned in all of the fields, so that training which is to be
     /// gone on with leaves none.
-    fn train(&mut self, film: &Film) -> bool {
+    fn train(&mut self, film: &Film) -> Result<bool> {
         let (progress, start, limit) = (self.progress, self.start, self.limit);
         let keep = self.keeper.as_ref().map(Keeper::keep);
         // What was rendered before is worth more than the time it takes to train again.
-        let is_needed = keep.is_some_and(Keep::has_samples);
-        let is_over = || !is_needed && is_over(progress, start, limit);
+        let points = keep.map_or(Ok(None), Keep::points)?;
+        let is_over = || points.is_none() && is_over(progress, start, limit);
         let (scene, settings, journal) = (self.scene, self.settings, Journal::new(keep));
-        let mut training = Training { scene, settings, journal, limit, is_over };
+        let mut training = Training { scene, settings, journal, limit, points, is_over };
         let trained = training.train(&mut self.guide);
         self.progress.add(&trained.stats);
         self.learned.resumed_finds = training.journal.resumed;
         locked(&self.progress.report).warnings.extend(training.journal.fault.map(|fault| fault.to_string()));
+        self.points = trained.points;
         if keep.is_some() && (training.is_over)() {
-            return false;
+            return Ok(false);
         }
         if film.watches_walks() {
             self.guide.number_regions();
@@ -235,7 +239,7 @@ impl<'a> Run<'a> {
         [self.learned.bodies, self.learned.bodies_too_small] = trained.bodies;
         self.learned.count(&self.guide);
         self.progress.set_guide(self.learned.clone());
-        true
+        Ok(true)
     }
 
     /// Whether a stop or the time limit ends the render.

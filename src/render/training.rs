@@ -66,6 +66,8 @@ const MOST_PROBED: usize = 64;
 #[derive(Default)]
 pub struct Trained {
     pub stats: PathStats,
+    /// Records that were asked for.
+    pub points: u32,
     pub records: u64,
     /// Bodies with a field, and those too small for one.
     pub bodies: [usize; 2],
@@ -78,6 +80,8 @@ pub(super) struct Training<'a, Over: Fn() -> bool> {
     pub journal: Journal<'a>,
     /// Of the whole render.
     pub limit: Option<Duration>,
+    /// The number of records that samples were made with which it goes on from.
+    pub points: Option<u32>,
     /// What it leaves out is as if nothing were known there.
     pub is_over: Over,
 }
@@ -89,19 +93,11 @@ impl<Over: Fn() -> bool> Training<'_, Over> {
         if !guide.plans.iter().flatten().any(|plan| guide.must_know(plan) || plan.bends) {
             return Trained::default();
         }
-        let most = record_count(scene, self.settings);
-        let (settings, limit) = (self.settings, self.limit);
-        // How fast the machine is may not decide what a render that goes on from here looks like.
-        let (counted, _) = self.journal.next(|| {
-            let count = limit.map_or(most, |limit| affordable(scene, settings, guide, limit, most));
-            (vec![count], PathStats::default())
-        });
-        self.journal.resumed = 0; // the number of points is no find
-        let Some(&count) = counted.first() else { return Trained::default() };
+        let count = self.count(guide);
         let looked = self.add_beams(guide, count);
         // A body that fills the frame has most of the records, a tooth its share.
         let (shares, small) = share_records(scene, guide, Aim::Records, count);
-        let mut trained = Trained { stats: looked, bodies: [shares.len(), small], ..Trained::default() };
+        let mut trained = Trained { stats: looked, points: count, bodies: [shares.len(), small], ..Trained::default() };
         let learned = guide.exit_lights == ExitLights::Learned && !shares.is_empty();
         let parts = if learned { scene.lights.parts() } else { Parts::default() };
         for body in shares {
@@ -121,6 +117,21 @@ impl<Over: Fn() -> bool> Training<'_, Over> {
             guide.fields[instance as usize] = Some(Box::new(field));
         }
         trained
+    }
+
+    /// Records of all bodies. A render that goes on from samples has as many as those were made with, whatever its limit.
+    fn count(&mut self, guide: &Guide) -> u32 {
+        if let Some(points) = self.points {
+            return self.journal.begin(points, |kept| kept == points);
+        }
+        let most = record_count(self.scene, self.settings);
+        match self.limit {
+            None => self.journal.begin(most, |kept| kept == most),
+            Some(limit) => {
+                let some = affordable(self.scene, self.settings, guide, limit, most);
+                self.journal.begin(some, |kept| kept <= some)
+            }
+        }
     }
 
     /// The records of a body, from as many of those that share its cache as are worth a look; `None`: it is over.

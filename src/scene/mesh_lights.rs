@@ -45,6 +45,9 @@ pub(super) fn compile_lights(
     lights
 }
 
+/// Instances whose light is asked about for what belongs to no light.
+const PLACES: usize = 64;
+
 /// Tells instances which sets of categories are theirs, and lights which ones they are for.
 pub(super) fn link(
     flat: &FlatScene,
@@ -61,7 +64,9 @@ pub(super) fn link(
         }
     }
     lights.link(&flat.lights, &categories);
-    lights.group(&flat.settings.aovs, &flat.lights, warnings);
+    let some = instances.iter().step_by(instances.len().div_ceil(PLACES).max(1));
+    let places: Vec<Vec3> = some.map(|instance| instance.to_render.translation).collect();
+    lights.group(&flat.settings.aovs, &flat.lights, &places, warnings);
     categories.members()
 }
 

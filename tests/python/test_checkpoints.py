@@ -124,7 +124,10 @@ def test_interrupted_while_training(wax, tmp_path):
     kept = found.stat().st_size
     assert run("record", wax, tmp_path / "a.exr", *flags, "--samples", "65", "--resume") == 1
     assert found.stat().st_size == kept and not (tmp_path / "a.exr.checkpoint").exists()
-    assert run("record", wax, tmp_path / "a.exr", *flags, "--timeLimit", "1", "--resume") == 0
+    # With less time than that training takes there is a picture, too.
+    limited = ("--timeLimit", "2", "--resume", "--stats", tmp_path / "s.json")
+    assert run("record", wax, tmp_path / "a.exr", *flags, *limited) == 0
+    assert json.loads((tmp_path / "s.json").read_text())["samples_per_pixel"] > 0.0
 
 
 def test_a_time_limit_is_not_for_training_alone(wax, tmp_path):
@@ -177,8 +180,8 @@ def is_past(keep: Path, pilot: bool, samples: int) -> bool:
     """Whether a checkpoint is of that phase or a later one, with that many samples done in it."""
     if not keep.exists():
         return False
-    phase, tiles = struct.unpack_from("<IQ", keep.read_bytes(), 20)
-    (done,) = struct.unpack_from("<I", keep.read_bytes(), 32 + 4 * tiles)
+    phase, tiles = struct.unpack_from("<IQ", keep.read_bytes(), 24)
+    (done,) = struct.unpack_from("<I", keep.read_bytes(), 36 + 4 * tiles)
     return done >= samples if pilot == (phase == 1) else phase == 0
 
 
@@ -357,6 +360,19 @@ def test_only_complete_files_are_skipped(tmp_path, stage, kind, damage):
         for length in (len(whole) // 3, len(whole) * 9 // 10):
             file.write_bytes(whole[:length])
             assert not files.is_complete(file), length
+
+
+def test_tiled_files_are_complete(stage, tmp_path):
+    """As other programs make them of ours."""
+    oiio = pytest.importorskip("OpenImageIO")
+    assert run("record", stage, tmp_path / "a.exr", "--samples", "2", "-w", "100") == 0
+    image = oiio.ImageBuf(str(tmp_path / "a.exr"))
+    image.set_write_tiles(32, 32)
+    assert image.write(str(tmp_path / "tiled.exr"))
+    assert files.is_complete(tmp_path / "tiled.exr")
+    whole = (tmp_path / "tiled.exr").read_bytes()
+    (tmp_path / "tiled.exr").write_bytes(whole[: len(whole) * 3 // 4])
+    assert not files.is_complete(tmp_path / "tiled.exr")
 
 
 def test_snapshots(wax, tmp_path):

@@ -536,10 +536,12 @@ def test_bytes_of_one_and_two_threads_agree(stage, tmp_path):
     np.testing.assert_array_equal(read_exr(tmp_path / "1.exr")[1], read_exr(tmp_path / "2.exr")[1])
 
 
-@pytest.mark.parametrize("listener", ["gone", "full"])
+@pytest.mark.parametrize("listener", ["gone", "full", "closed"])
 def test_nobody_has_to_listen(stage, tmp_path, listener):
     """A log that cannot be written costs no frame."""
     command = [sys.executable, "-m", "dermis", "record", stage(CARD, CAMERA, DOME), tmp_path / "a.###.exr"]
+    if listener == "closed":
+        command = ["sh", "-c", '"$@" >&- 2>&-', "sh", *command]
     reader, writer = os.pipe()
     os.close(reader)
     if listener == "full":

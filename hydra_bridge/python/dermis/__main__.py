@@ -23,7 +23,8 @@ def main() -> int:
         return code  # they have folders to remove
     # The system frees at once what usd-core and the interpreter would free piece by piece.
     try:
-        sys.stdout.flush()
+        if sys.stdout:  # there is none where it was closed
+            sys.stdout.flush()
     except BrokenPipeError:
         pass  # whoever read our output has enough
     except OSError as error:

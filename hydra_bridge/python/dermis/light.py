@@ -199,8 +199,8 @@ def pole(prim: Usd.Prim, kind: str, reader: Reader) -> str:
 
 
 def warn_ignored(prim: Usd.Prim, reader: Reader) -> None:
-    warn_connected(prim, reader)
     """A warning with what of this light is not rendered."""
+    warn_connected(prim, reader)
     if targets(prim, "light:filters"):
         reader.warn(prim, "light:filters: not supported yet; ignored")
 

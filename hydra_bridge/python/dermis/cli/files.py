@@ -94,10 +94,17 @@ def _has_all_lines(image: Any) -> bool:
     part = 0
     while image.seek_subimage(part, 0):
         spec = image.spec()
-        for begin in range(spec.y, spec.y + spec.height, LINES):
-            end = min(begin + LINES, spec.y + spec.height)
-            if image.read_scanlines(part, 0, begin, end, spec.z, 0, spec.nchannels, spec.format) is None:
+        step = spec.tile_height or LINES
+        for begin in range(spec.y, spec.y + spec.height, step):
+            if _lines(image, part, spec, begin, min(begin + step, spec.y + spec.height)) is None:
                 image.geterror()
                 return False
         part += 1
     return part > 0
+
+
+def _lines(image: Any, part: int, spec: Any, begin: int, end: int) -> Any:
+    what = (0, spec.nchannels, spec.format)
+    if spec.tile_width:
+        return image.read_tiles(part, 0, spec.x, spec.x + spec.width, begin, end, spec.z, spec.z + 1, *what)
+    return image.read_scanlines(part, 0, begin, end, spec.z, *what)

@@ -37,11 +37,12 @@ class Lasting:
 
 @contextmanager
 def lasting() -> Iterator[None]:
-    """Standard output and error are such streams while inside."""
+    """Standard output and error are such streams while inside, also where they were closed."""
     before = sys.stdout, sys.stderr
-    sys.stdout, sys.stderr = Lasting(sys.stdout), Lasting(sys.stderr)
-    try:
-        yield
-    finally:
-        sys.stdout.flush()
-        sys.stdout, sys.stderr = before
+    with open(os.devnull, "w") as nowhere:
+        sys.stdout, sys.stderr = (Lasting(stream or nowhere) for stream in before)
+        try:
+            yield
+        finally:
+            sys.stdout.flush()
+            sys.stdout, sys.stderr = before

@@ -191,7 +191,8 @@ class Recorder:
             output.write_json(self.named(self.args.stats, when), stats)
         for made in view.outputs:
             Path(files.snapshot_name(made.file)).unlink(missing_ok=True)
-        if complete and keep:
+        # A limit that ended training ended what a longer one goes on from.
+        if complete and keep and stats["samples_per_pixel"] > 0.0:
             Path(keep).unlink(missing_ok=True)
             Path(f"{keep}.training").unlink(missing_ok=True)
 
