@@ -130,6 +130,9 @@ pub struct Light {
     /// Of `transform`; `None`: it stays.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub transform_keys: Option<TransformKeys>,
+    /// Path of its prim, where the key does not end on its name: of the prototype of an instancer; for AOVs.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    pub prim: String,
     /// Light group, for AOVs; empty: none.
     #[serde(skip_serializing_if = "String::is_empty")]
     pub group: String,
@@ -165,6 +168,7 @@ impl Default for Light {
             shadow_link: String::new(),
             shadow: None,
             transform_keys: None,
+            prim: String::new(),
             group: String::new(),
             portals: Vec::new(),
         }

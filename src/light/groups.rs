@@ -45,7 +45,9 @@ impl Lights {
         let mask = |path: &str| {
             let shows = |label: &str| match groups.contains(&label) || label == DEFAULT_GROUP {
                 true => group_of(&lights[path]) == label,
-                false => prim_of(path) == label || name_of(path) == label,
+                false => {
+                    prim_of(path) == label || [path, &lights[path].prim].into_iter().any(|of| name_of(of) == label)
+                }
             };
             labels.iter().enumerate().filter(|(_, label)| shows(label)).fold(0, |mask, (i, _)| mask | 1 << i)
         };

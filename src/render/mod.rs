@@ -139,7 +139,7 @@ pub fn film_for(scene: &Scene, settings: &RenderSettings) -> Result<Film> {
 
 /// Renders samples `sample_offset..sample_offset + samples` into `film`, or as many per tile as pilot samples say where
 /// there is a noise threshold. Deterministic for any number of threads of the current rayon pool, except where a time
-/// limit ends it. With `keep` it writes checkpoints, and goes on from one if asked to: with the same image.
+/// limit ends it or bounds its training. With `keep` it writes checkpoints, and goes on from one if asked to: with the same image.
 ///
 /// # Errors
 /// A checkpoint to go on from that cannot be read, or a film for which there is no memory.

@@ -182,6 +182,29 @@ def test_meshes_and_instances_are_lights_by_their_names(places):
     assert (len(black), image[path].max() > 0.0) == ((0, True) if len(places) == 1 else (1, False))
 
 
+def test_prototypes_of_point_instancers_are_lights_by_their_names():
+    """Also where the prototype is the light itself."""
+    scattered = """
+    def PointInstancer "Lamps"
+    {
+        int[] protoIndices = [0, 0]
+        point3f[] positions = [(-1, 0, 3), (1, 0, 3)]
+        rel prototypes = [</World/Lamps/Kinds/Bulb>]
+        def Scope "Kinds"
+        {
+            def SphereLight "Bulb"
+            {
+                float inputs:radius = 0.3
+                float inputs:intensity = 5
+            }
+        }
+    }
+"""
+    image = rendered(KEYS, scattered, aovs=["light_Bulb", "light_key"])
+    np.testing.assert_allclose(image["light_Bulb"] + image["light_key"], image.color[..., :3], rtol=1e-4)
+    assert image["light_Bulb"].max() > 0.0
+
+
 def test_a_label_that_no_light_has_is_said():
     image = rendered(KEYS, aovs=["light_nobody", "light_key"], samples=1)
     assert image["light_nobody"].max() == 0.0 and image["light_key"].max() > 0.0

@@ -97,6 +97,8 @@ class Emitter:
         elif found.kind not in MESH_TYPES:
             textures = self.textures if found.context.visible else None
             light = flatten_light(found.prim, found.kind, self.reader, textures, self.domes_visible)
+            if not found.key.endswith(f"/{found.prim.GetName()}"):
+                light["prim"] = str(found.prim.GetPath())
             self.lights(found, light, matrices, [""] * len(matrices))
         elif found.emits:
             self.mesh_lights(found, matrices)
