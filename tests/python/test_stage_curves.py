@@ -67,6 +67,20 @@ def test_a_bent_tube_keeps_its_width(flat):
     assert np.isfinite(back["points"]).all() and 2.0 < back["points"][:, 2].max() < 2.0 + 4.0 * 0.11
 
 
+def test_short_pieces_between_turns_are_not_inside_out(flat):
+    """Three of the length of a width, turning the same way twice: along each, every edge goes forward."""
+    text = "(0, 0, 0), (0, 0, 2), (0.5, 0, 2), (0.5, 0, 0)"
+    rings = (
+        flat(curves(text, "[4]", "[0.5]", type="linear"))
+        .prims["/C"]["points"]
+        .astype(float)
+        .reshape(4, -1, 3)
+    )
+    forward = np.array([(0, 0, 1), (1, 0, 0), (0, 0, -1)])
+    along = np.einsum("isx,ix->is", np.diff(rings, axis=0), forward)
+    assert along.min() > 0.05
+
+
 SHAPES = [
     ("linear", "nonperiodic"),
     ("linear", "periodic"),

@@ -242,8 +242,9 @@ def tubes(made: Tessellation, width: Floats) -> None:
     outwards = (np.pi / sides) / np.sin(np.pi / sides)
     radius = 0.5 * width * outwards
     made.offsets = outwards * radial.reshape(-1, 3)
-    rings = points[:, None] + radius[:, None, None] * mitred(radial, samples.turns())
     here, there = steps(samples)
+    most = longest_rings(points, radius, here, there)
+    rings = points[:, None] + radius[:, None, None] * mitred(radial, samples.turns(), most)
     shown = (width[here] > 0.0) | (width[there] > 0.0)
     here, there = here[shown], there[shown]
     j = np.arange(sides)
@@ -274,11 +275,22 @@ def tubes(made: Tessellation, width: Floats) -> None:
     }
 
 
-def mitred(radial: Floats, turns: Floats) -> Floats:
+def longest_rings(points: Floats, radius: Floats, here: NDArray, there: NDArray) -> Floats:
+    """Longest ring of each sample, over its width: one reaches less than half along a piece, so that short pieces
+    between two turns do not end up inside out."""
+    length = np.linalg.norm(points[there] - points[here], axis=1)
+    shortest = np.full(len(points), np.inf)
+    np.minimum.at(shortest, here, length)
+    np.minimum.at(shortest, there, length)
+    reach = 0.4 * shortest / np.where(radius > 0.0, radius, np.inf)
+    return np.minimum(MITRE, np.sqrt(1.0 + reach * reach))
+
+
+def mitred(radial: Floats, turns: Floats, most: Floats) -> Floats:
     """Rings at joints are in the plane half way between two pieces: there they are longer along the turn, so that both
-    pieces keep their width."""
+    pieces keep their width. `most`: longer than their width at most."""
     sine = np.linalg.norm(turns, axis=1)
-    cosine = np.maximum(np.sqrt(np.maximum(1.0 - sine * sine, 0.0)), 1.0 / MITRE)
+    cosine = np.maximum(np.sqrt(np.maximum(1.0 - sine * sine, 0.0)), 1.0 / most)
     share = (1.0 / cosine - 1.0) / np.where(sine > 0.0, sine * sine, 1.0)
     along = np.sum(radial * turns[:, None], axis=2, keepdims=True)
     return radial + (share[:, None] * turns)[:, None] * along
