@@ -132,7 +132,7 @@ def test_interrupted_while_training(wax, tmp_path):
 
 def test_a_time_limit_is_not_for_training_alone(wax, tmp_path):
     """With checkpoints as without; a render that goes on from one has as many records as that."""
-    flags = ("-w", "200", "--samples", "100000", "--threads", "1", "--timeLimit")
+    flags = ("-w", "240", "--samples", "100000", "--threads", "1", "--timeLimit")
 
     def records(limit: str, *keep: str) -> int:
         assert (
