@@ -9,7 +9,12 @@ import pytest
 from dermis.curves import CHORD_ERROR
 from dermis.spline import Spline
 
-AROUND = ", ".join(f"({np.cos(a)}, {np.sin(a)}, {0.1 * np.cos(2 * a)})" for a in np.arange(7) * 2 * np.pi / 7)
+
+def around(count):
+    angles = np.arange(count) * 2 * np.pi / count
+    return ", ".join(f"({np.cos(a)}, {np.sin(a)}, {0.1 * np.cos(2 * a)})" for a in angles)
+
+
 POINTS = "(0, 0, 0), (1, 1, 0), (2, 0, 1), (3, 0, 0), (3, 1, 1), (2, 2, 2), (1, 2, 0)"
 
 
@@ -85,6 +90,8 @@ SHAPES = [
     ("linear", "nonperiodic"),
     ("linear", "periodic"),
     ("bezier", "nonperiodic"),
+    ("bezier", "periodic"),
+    ("bezier", "pinned"),
     ("bspline", "nonperiodic"),
     ("bspline", "periodic"),
     ("bspline", "pinned"),
@@ -97,7 +104,9 @@ SHAPES = [
 @pytest.mark.parametrize(("basis", "wrap"), SHAPES)
 def test_tubes_are_closed_and_face_outwards(flat, basis, wrap):
     kind = {"type": "linear"} if basis == "linear" else {"basis": basis}
-    mesh = flat(curves(AROUND, wrap=wrap, **kind)).prims["/C"]
+    # Segments of closed Beziers have three points each.
+    count = 9 if (basis, wrap) == ("bezier", "periodic") else 7
+    mesh = flat(curves(around(count), f"[{count}]", wrap=wrap, **kind)).prims["/C"]
     sides = Counter((face[i], face[i - 1]) for face in faces(mesh) for i in range(len(face)))
     assert set(sides.values()) == {1} and all((b, a) in sides for a, b in sides)
     points, normals = mesh["points"].astype(float), mesh["normals"]
