@@ -167,7 +167,7 @@ def test_what_another_render_left_is_not_in_the_way(wax, tmp_path):
         child = start(
             "record", wax, tmp_path / "a.exr", *flags, "1000", "--walk", "classical", "--timeLimit", "100"
         )
-        while child.poll() is None and (tmp_path / left).exists():
+        while child.poll() is None and any(tmp_path.glob("a.exr.checkpoint*")):
             time.sleep(0.001)
         assert child.poll() is None, "what the other render left is there until the end"
         child.kill()
