@@ -71,22 +71,25 @@ def resolving(
     **settings: Any,
 ) -> Picture:
     """A render with the samples that it takes to see a deviation of `RESOLUTION` of `expected` (by channel, or of the
-    second): those of a first one, if they do, else of another one with another seed, as long as `budget` allows."""
-    pilot = render(prims, size, samples, **settings)
+    second): those of a first one, if they do, else of others with other seeds, as long as `budget` allows."""
     wanted = expected if isinstance(expected, Mapping) else {1: expected}
-    # Four fifths, since errors are estimates.
-    errors = (
-        pilot.mean(channel)[1] / (0.8 * RESOLUTION / Z_LIMIT * value) for channel, value in wanted.items()
-    )
-    more = max(errors) ** 2
-    # A first render that met nothing at all has no error either.
-    blind = any(value > 0.0 and pilot.mean(channel)[0] == 0.0 for channel, value in wanted.items())
-    if more <= 1.0 and not blind:
-        return pilot
-    more = math.inf if blind else more
-    affordable = max(1.0, budget / max(pilot.stats["rays"]["total"], 1))
-    count = min(1 << 20, math.ceil(samples * min(more, affordable)))
-    return render(prims, size, count, seed=1, **settings)
+    picture = render(prims, size, samples, **settings)
+    # What one render says of the next is an estimate, and guides learn in between.
+    for seed in (1, 2, 3):
+        # Four fifths, since errors are estimates.
+        errors = (
+            picture.mean(channel)[1] / (0.8 * RESOLUTION / Z_LIMIT * value)
+            for channel, value in wanted.items()
+        )
+        more = max(errors) ** 2
+        # A render that met nothing at all has no error either.
+        blind = any(value > 0.0 and picture.mean(channel)[0] == 0.0 for channel, value in wanted.items())
+        affordable = budget / max(picture.stats["rays"]["total"], 1)
+        if (more <= 1.0 and not blind) or (seed > 1 and affordable <= 1.0):
+            return picture
+        samples = min(1 << 20, math.ceil(samples * min(math.inf if blind else more, max(1.0, affordable))))
+        picture = render(prims, size, samples, seed=seed, **settings)
+    return picture
 
 
 def run(delegate: hydra.Delegate, size: int = 24, samples: int = 64, **settings: Any) -> Picture:
