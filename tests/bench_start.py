@@ -1,5 +1,6 @@
 """Processor seconds from the command line to an image: `python tests/bench_start.py [STAGE] [TURNS]`, medians of whole
-processes in turns. usd-core opens the stage and reads every attribute; then the same with numpy, which dermis needs."""
+processes in turns. usd-core opens the stage and reads every attribute; then the same with numpy, which dermis
+loads where a stage has more than meshes."""
 
 import os
 import statistics

@@ -1,20 +1,21 @@
-//! The Python module `dermis._core`: the render delegate with numpy arrays in and out.
+//! The Python module `dermis._core`: the render delegate with arrays in and out.
 
-use bytemuck::Pod;
+mod arrays;
+
+use arrays::any_array;
 use dermis::delegate::{DirtyBits, LayerSpec, RenderDelegate, xy};
 use dermis::error::{Error, Warning};
-use dermis::flat::array::{AnyArray, Lent, Scalar, with_arrays};
+use dermis::flat::array::with_arrays;
 use dermis::flat::{self, Prim, RenderSettings, StageInfo};
 use dermis::output::{Attribute, Frame, Layer, Samples, write_exr};
 use dermis::subsurface::inversion::{self, Illumination};
 use numpy::{PyArray3, PyArrayMethods, PyReadonlyArrayDyn};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyMemoryView};
+use pyo3::types::PyDict;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
-use std::ptr::NonNull;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 pyo3::create_exception!(_core, CoreError, pyo3::exceptions::PyException);
@@ -180,6 +181,10 @@ impl Delegate {
         Ok(aovs)
     }
 
+    fn check(&self, py: Python<'_>) -> (bool, bool) {
+        self.with(py, |core| core.check())
+    }
+
     fn stats(&self, py: Python<'_>) -> String {
         self.with(py, |core| core.stats().to_string())
     }
@@ -191,64 +196,6 @@ impl Delegate {
             layers.map(serde_json::from_str).transpose().map_err(|e| json_error("layers", e))?;
         self.with(py, |core| core.write_exr(&file, attributes, layers.as_deref())).map_err(core_error)
     }
-}
-
-/// A numpy array as the core's: read in place where nobody can write to it, copied once elsewhere.
-fn any_array(array: &Bound<'_, PyAny>) -> PyResult<AnyArray> {
-    fn taken<T: numpy::Element + Copy + Pod>(
-        array: &PyReadonlyArrayDyn<'_, T>,
-        scalar: Scalar,
-        owned: fn(Vec<T>, usize) -> AnyArray,
-    ) -> PyResult<AnyArray> {
-        let components = array.as_array().shape().iter().skip(1).product();
-        let values = array.as_slice().map_err(|e| PyTypeError::new_err(format!("array: {e}")))?;
-        if !is_for_reading(array.as_any())? {
-            return Ok(owned(values.to_vec(), components));
-        }
-        let (bytes, owner) =
-            (NonNull::from(bytemuck::cast_slice(values)), Box::new(Owner(Some(array.as_any().clone().unbind()))));
-        // SAFETY: the array keeps its memory, which `is_for_reading`.
-        let memory = Arc::new(unsafe { Lent::new(bytes, owner) });
-        Ok(AnyArray::Lent { memory, scalar, components })
-    }
-    if let Ok(values) = array.extract::<PyReadonlyArrayDyn<'_, f32>>() {
-        return taken(&values, Scalar::F32, AnyArray::F32);
-    }
-    if let Ok(values) = array.extract::<PyReadonlyArrayDyn<'_, i32>>() {
-        return taken(&values, Scalar::I32, AnyArray::I32);
-    }
-    if let Ok(values) = array.extract::<PyReadonlyArrayDyn<'_, f64>>() {
-        return taken(&values, Scalar::F64, AnyArray::F64);
-    }
-    if let Ok(values) = array.extract::<PyReadonlyArrayDyn<'_, u8>>() {
-        return taken(&values, Scalar::U8, AnyArray::U8);
-    }
-    if let Ok(values) = array.extract::<PyReadonlyArrayDyn<'_, u16>>() {
-        return taken(&values, Scalar::U16, AnyArray::U16);
-    }
-    Err(PyTypeError::new_err("arrays must be numpy arrays of float32, int32, float64, uint8 or uint16"))
-}
-
-/// Of an array that the core reads in place.
-struct Owner(Option<Py<PyAny>>);
-
-impl Drop for Owner {
-    /// At once: without the GIL, Python would be told when somebody next comes by with it, after the commit.
-    fn drop(&mut self) {
-        let array = self.0.take();
-        Python::try_attach(|_| drop(array));
-    }
-}
-
-/// Whether an array is a view of one of USD's: it cannot be made writeable, and USD copies on write what others read.
-fn is_for_reading(array: &Bound<'_, PyAny>) -> PyResult<bool> {
-    let writeable: bool = array.getattr("flags")?.getattr("writeable")?.extract()?;
-    let base = array.getattr("base")?;
-    if writeable || base.cast::<PyMemoryView>().is_err() {
-        return Ok(false);
-    }
-    let module = base.getattr("obj")?.get_type().module()?;
-    Ok(module == "pxr.Vt")
 }
 
 /// The single-scattering albedo that shows `color` behind a boundary; see [`dermis::subsurface::inversion`].

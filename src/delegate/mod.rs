@@ -397,6 +397,15 @@ impl RenderDelegate {
         })
     }
 
+    /// Whether all of the image is finite, and whether any of it is not black.
+    pub fn check(&self) -> (bool, bool) {
+        self.pass.as_ref().map_or((true, false), |pass| {
+            let color = pass.film.color().values;
+            let is_lit = color.chunks_exact(4).any(|pixel| pixel[..3].iter().any(|&x| x > 0.0));
+            (color.iter().all(|x| x.is_finite()), is_lit)
+        })
+    }
+
     /// An edit makes the image stale: the render stops, the scene waits for a commit.
     fn edit(&mut self) {
         self.stop();

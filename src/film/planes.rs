@@ -21,13 +21,18 @@ pub const GEOMETRY: [&str; 9] =
 pub const MOTION: &str = "motionVector";
 
 impl Film {
-    /// The image so far: `color` (RGBA, premultiplied) first, then the planes asked for.
-    pub fn resolve(&self) -> Vec<Plane> {
-        let mut planes = vec![self.plane("color", 4, |t, i| {
+    /// RGBA, premultiplied.
+    pub fn color(&self) -> Plane {
+        self.plane("color", 4, |t, i| {
             let n = f64::from(t.samples[i].max(1));
             let c = t.color[i] / n * f64::from(self.exposure);
             [c.x as f32, c.y as f32, c.z as f32, t.alpha[i] / n as f32]
-        })];
+        })
+    }
+
+    /// The image so far: `color` (RGBA, premultiplied) first, then the planes asked for.
+    pub fn resolve(&self) -> Vec<Plane> {
+        let mut planes = vec![self.color()];
         planes.push(self.plane("alpha", 1, |t, i| [t.alpha[i] / t.samples[i].max(1) as f32, 0.0, 0.0, 0.0]));
         let rgb = |c: Rgb| [c.x, c.y, c.z, 0.0];
         let mean = |t: &Tile, i: usize, c: Rgb| c / t.samples[i].max(1) as f32;

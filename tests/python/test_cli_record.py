@@ -673,3 +673,20 @@ def test_a_message_is_one_line(tmp_path, capsys):
     assert run("record", tmp_path / "s.usda", tmp_path / "o.exr", "-w", "8", "--samples", "1") == 0
     said = [line for line in capsys.readouterr().err.splitlines() if "composition: Cycle detected" in line]
     assert len(said) == 2 and all("CANNOT reference" in line for line in said)
+
+
+def test_a_plain_stage_needs_no_numpy(stage, tmp_path):
+    """It takes longer to load than all of such a stage to read and to render."""
+    lamp = 'def RectLight "Lamp"\n{\n    float inputs:intensity = 2\n    color3f inputs:color = (1, 0.9, 0.8)\n}\n'
+    code = "import sys; from dermis.cli import main; code = main(); sys.exit(code or 7 * ('numpy' in sys.modules))"
+    command = [
+        sys.executable,
+        "-c",
+        code,
+        "record",
+        stage(CARD, CAMERA, DOME, lamp),
+        tmp_path / "o.exr",
+        *SMALL,
+    ]
+    assert subprocess.run(command).returncode == 0
+    assert channels(tmp_path / "o.exr")["R"].max() > 0.1

@@ -270,6 +270,26 @@ def test_a_last_commit_that_fails_can_be_mended():
     assert delegate.commit(last=True)["blas_built"] == 2
 
 
+def test_indices_beyond_the_values_of_a_primvar_cost_the_primvar():
+    stage = Usd.Stage.CreateInMemory()
+    stage.GetRootLayer().ImportFromString(STAGE)
+    box = UsdGeom.Mesh.Define(stage, "/Sheet")
+    box.GetPointsAttr().Set([(0, 0, 0), (1, 0, 0), (0, 1, 0)])
+    box.GetFaceVertexCountsAttr().Set([3])
+    box.GetFaceVertexIndicesAttr().Set([0, 1, 2])
+    color = box.CreateDisplayColorPrimvar("uniform")
+    color.Set([(1, 0, 0), (0, 1, 0)])
+    said = []
+    for index in (1, 2):
+        color.SetIndices([index])
+        delegate = Delegate()
+        hydra.populate(delegate.core, flatten(stage))
+        delegate.set_settings(camera="/Cam")
+        delegate.commit()
+        said.append([entry for entry in delegate.stats()["warnings"] if entry["prim"] == "/Sheet"])
+    assert said[0] == [] and "indices are outside its 2 values" in said[1][0]["message"]
+
+
 def test_bounds_go_around_the_boxes_of_meshes():
     turned = np.array([[1, 1, 0, 0], [-1, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], np.float64)
     moved = np.eye(4)

@@ -1,5 +1,6 @@
 """`dermis` and `python -m dermis`: the command line."""
 
+import gc
 import os
 import signal
 import sys
@@ -16,6 +17,8 @@ def main() -> int:
     # numpy starts a thread of linear algebra per processor, which nobody here asks for: .03 s on two processors.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     signal.signal(signal.SIGINT, lambda number, frame: os._exit(INTERRUPTED))
+    # Libraries make objects by the ten thousand as they are loaded, which stay: looking through them takes .01 s.
+    gc.set_threshold(100_000)
     from .cli import main as command
 
     code = command()

@@ -37,7 +37,7 @@ class Delegate:
     def save(self, file: str) -> None:
         """Writes the flattened scene as one `.dermis` file (temporary name, then renamed)."""
 
-    def sync(self, path: str, prim: str, arrays: Sequence[NDArray], dirty_bits: int) -> None:
+    def sync(self, path: str, prim: str, arrays: Sequence[NDArray | memoryview], dirty_bits: int) -> None:
         """Inserts or edits a prim. `prim` is JSON in which `{"array": i}` stands for `arrays[i]`
         (C-contiguous float32, float64 or int32; shape (n,), (n, k) or (n, 4, 4)); views of USD's arrays, which
         nobody writes to, are read in place, others are copied.
@@ -92,6 +92,9 @@ class Delegate:
         """AOVs so far: name -> float32 array (height, width, channels), linear; `color` is the beauty (RGBA).
         Those of guided walks (`slabNormal`, `entryAgreement`, `walkLength`, `region`, `cacheIrradiance`,
         `techniqueShares`) only where the settings ask for them."""
+
+    def check(self) -> tuple[bool, bool]:
+        """Whether all of the image is finite, and whether any of it is not black."""
 
     def stats(self) -> str:
         """JSON with the names of the contract (`samples_per_pixel`, `seconds.total`, `guide.media`, ...)."""

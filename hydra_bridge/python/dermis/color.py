@@ -3,20 +3,21 @@
 The EXR is the truth and is never transformed; what this module makes is for eyes.
 """
 
+from __future__ import annotations
+
 import os
 from collections.abc import Iterable
 from copy import copy
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
+from .arrays import np
 from .colorspace import REC709, transformed
 
 # Libraries of display images are loaded where one is made: most renders write an EXR alone.
 if TYPE_CHECKING:
     import PyOpenColorIO as ocio
+    from numpy.typing import NDArray
 
 #: The configuration without `$OCIO`: by its full name, for `ocio://default` changes with the library.
 BUILTIN_CONFIG = "cg-config-v4.0.0_aces-v2.0_ocio-v2.5"
@@ -62,7 +63,7 @@ class DisplayTransform:
         if mode == "openColorIO":
             self._processor = self._build(config, display, view, look)
 
-    def _build(self, name: str, display: str, view: str, look: str) -> "ocio.CPUProcessor":
+    def _build(self, name: str, display: str, view: str, look: str) -> ocio.CPUProcessor:
         import PyOpenColorIO as ocio
 
         config, self.config_name = open_config(name)
@@ -83,7 +84,7 @@ class DisplayTransform:
                 f"OpenColorIO cannot show {self.display!r}, view {self.view!r}: {error}"
             ) from error
 
-    def showing(self, space: str) -> "DisplayTransform":
+    def showing(self, space: str) -> DisplayTransform:
         """The same for colours in another linear space of usd-core."""
         other = copy(self)
         other.space = space
@@ -100,7 +101,7 @@ class DisplayTransform:
         return np.clip(pixels, 0.0, 1.0)
 
 
-def open_config(name: str = "") -> "tuple[ocio.Config, str]":
+def open_config(name: str = "") -> tuple[ocio.Config, str]:
     """The configuration called `name`, else `$OCIO`, else the pinned built-in one; with the name used."""
     import PyOpenColorIO as ocio
 
@@ -116,7 +117,7 @@ def open_config(name: str = "") -> "tuple[ocio.Config, str]":
     return config, name
 
 
-def linear_rec709(config: "ocio.Config") -> str:
+def linear_rec709(config: ocio.Config) -> str:
     """Name of the configuration's colour space for linear Rec.709, the renderer's own."""
     for name in LINEAR_REC709:
         if space := config.getColorSpace(name):

@@ -3,13 +3,18 @@
 Whites are adapted (all of usd-core's spaces have D65 white): white light stays white.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
 from pxr import Gf, Sdf, Usd
+
+from .arrays import np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 REC709 = "lin_rec709_scene"
 """What colours are in that say nothing, and what is rendered in without `renderingColorSpace`."""
@@ -103,6 +108,8 @@ class Colors:
         self._spaces = Usd.ColorSpaceHashCache()
 
     def from_rec709(self, rgb: Any) -> tuple[float, ...]:
+        if self.rendering == REC709:
+            return tuple(float(x) for x in rgb)
         color = np.asarray(rgb, np.float64)
         return tuple(float(x) for x in transformed(color, REC709, self.rendering))
 
@@ -122,12 +129,18 @@ class Colors:
             return Gf.ColorSpace(REC709)
         return space
 
+    def changes(self, attribute: Usd.Attribute) -> Gf.ColorSpace | None:
+        """The space of a colour where that is not what is rendered in."""
+        space = self.source(attribute)
+        if space is None or space.GetGamma() != 1.0:
+            return space
+        return None if matrix(str(space.GetName()), self.rendering) is None else space
+
     def of(self, attribute: Usd.Attribute, values: NDArray) -> NDArray:
         """Values (..., 3 or 4) of an attribute in the rendering space; the same array where nothing changes."""
-        space = self.source(attribute)
+        space = self.changes(attribute)
         if space is None or values.ndim == 0 or values.shape[-1] not in (3, 4):
             return values
-        linear_values = linear(values, space)
-        name = str(space.GetName())
-        changed = transformed(linear_values, name, self.rendering)
-        return values if changed is values else changed.astype(values.dtype)
+        values = np.asarray(values)
+        changed = transformed(linear(values, space), str(space.GetName()), self.rendering)
+        return changed.astype(values.dtype)

@@ -5,15 +5,19 @@ The polygon of a tube has the circumference of its circle, so that areas agree; 
 within CHORD_ERROR widths of the curve, or there are MOST_PIECES.
 """
 
-from typing import Any
+from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Any
+
 from pxr import Usd, UsdGeom
 
+from .arrays import np
 from .reading import Reader
 from .skel import Skins
 from .spline import Floats, Samples, Spline, frames, unit
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 SIDES = ((20_000, 24), (200_000, 12))
 """(samples at most, sides): where there are many, each is thin."""
@@ -91,8 +95,8 @@ def tessellate_curves(prim: Usd.Prim, reader: Reader, skins: Skins) -> Tessellat
 
 
 def read_spline(prim: Usd.Prim, reader: Reader, skins: Skins) -> Spline | None:
-    points = reader.moving(prim, "points", np.float32, 3)
-    counts = reader.array(prim, "curveVertexCounts", np.int32, 1)
+    points = reader.as_array(prim, "points", reader.moved(prim, "points"), "float32", 3)
+    counts = reader.array(prim, "curveVertexCounts", "int32", 1)
     for name, array in (("points", points), ("curveVertexCounts", counts)):
         if array is None or not len(array):
             reader.warn(prim, f"{name}: empty; the curves are not rendered")
@@ -134,7 +138,7 @@ def is_hermite(prim: Usd.Prim) -> bool:
 
 def read_hermite(prim: Usd.Prim, points: NDArray, counts: NDArray, reader: Reader) -> Spline | None:
     """UsdGeomHermiteCurves: open, a tangent for each point."""
-    tangents = reader.array(prim, "tangents", np.float32, 3)
+    tangents = reader.array(prim, "tangents", "float32", 3)
     number = 0 if tangents is None else len(tangents)
     if tangents is None or number != len(points) or not np.isfinite(tangents).all():
         problem = f"{number} for {len(points)} points" if number != len(points) else "not finite"
@@ -164,9 +168,7 @@ def read_attribute(
         return read_primvar(prim, primvar, components, spline, reader)
     schema = UsdGeom.Curves(prim)
     interpolation = schema.GetWidthsInterpolation() if name == "widths" else schema.GetNormalsInterpolation()
-    return fitting(
-        prim, name, interpolation, reader.array(prim, name, np.float32, components), spline, reader
-    )
+    return fitting(prim, name, interpolation, reader.array(prim, name, "float32", components), spline, reader)
 
 
 def read_primvar(
@@ -175,7 +177,7 @@ def read_primvar(
     name, value = str(primvar.GetName()), primvar.ComputeFlattened(reader.time)
     if components == 1 and np.ndim(value) == 0 and value is not None and not isinstance(value, str):
         value = [value]
-    values = reader.as_array(prim, name, value, np.float32, components)
+    values = reader.as_array(prim, name, value, "float32", components)
     if values is not None:
         values = reader.colors.of(primvar.GetAttr(), values)
     return fitting(prim, name, primvar.GetInterpolation(), values, spline, reader)

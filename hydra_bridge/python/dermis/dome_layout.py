@@ -4,12 +4,18 @@ UsdLux names the layouts and says nothing of their orientation: here the centre 
 dome's +Z with its +Y up, as converters between them have it.
 """
 
-import numpy as np
-from numpy.typing import NDArray
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, TypeAlias
+
+from .arrays import np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 LAYOUTS = ("mirroredBall", "angular", "cubeMapVerticalCross")
 
-Array = NDArray[np.float64]
+Array: TypeAlias = "NDArray[np.float64]"
 
 FINER = 2
 """Points per pixel and axis of the latlong image, averaged."""

@@ -4,17 +4,16 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
 from pxr import Gf, Usd
 
+from .arrays import np
 from .bindings import bound_materials
 from .camera import flatten_camera
-from .instancer import Matrices, Placements, nested
+from .instancer import Placements, nested
 from .light import flatten_light
 from .linking import Links
 from .material import flatten_material
 from .mesh import MESH_TYPES, flatten_mesh, flatten_read_primvars, flatten_subsets, of_medium
-from .points import flatten_points
 from .reading import Reader
 from .shaders import HAIR
 from .skel import Skins, is_skinned
@@ -87,10 +86,9 @@ class Emitter:
             self.reader.warn(found.prim, f"cannot be read ({error}); it is not rendered")
 
     def prim(self, found: Found, placements: Placements, instancer: str) -> None:
-        matrices = placements.matrices
         if found.kind == "Camera":
             # A camera inside instances counts once, where the first of them stands.
-            matrix = Gf.Matrix4d(*np.ravel(local_to_world(found, matrices)[0]))
+            matrix = local_to_world(found, placements)[0]
             self.prims[found.key] = flatten_camera(found.prim, self.reader, matrix)
         elif found.kind == "Points":
             self.points(found, placements)
@@ -99,9 +97,9 @@ class Emitter:
             light = flatten_light(found.prim, found.kind, self.reader, textures, self.domes_visible)
             if not found.key.endswith(f"/{found.prim.GetName()}"):
                 light["prim"] = str(found.prim.GetPath())
-            self.lights(found, light, matrices, [""] * len(matrices))
+            self.lights(found, light, placements, [""] * len(placements))
         elif found.emits:
-            self.mesh_lights(found, matrices)
+            self.mesh_lights(found, placements)
         elif (mesh := self.mesh(found)) is not None:
             mesh["transform"] = self.reader.matrix(found.prim, found.matrix)
             mesh["instancer"] = instancer
@@ -142,6 +140,8 @@ class Emitter:
 
     def points(self, found: Found, placements: Placements) -> None:
         """A sphere, and an instancer of its own that places it for every point in every placement of the prim."""
+        from .points import flatten_points
+
         spheres = flatten_points(found.prim, self.reader, found.context.inherited(), self.skins)
         if spheres is None:
             return
@@ -152,7 +152,7 @@ class Emitter:
         self.categorize(found, mesh)
         self.bindables.append((found.prim, mesh))
         colors = {} if spheres.colors is None else {"displayColor": spheres.colors}
-        outer = Placements(local_to_world(found, placements.matrices), placements.primvars)
+        outer = Placements(nested(np.array(found.matrix)[None], placements.matrices), placements.primvars)
         self.prims[key] = self.instancer(Placements(spheres.matrices, colors).within(outer))
 
     def instancer(self, placements: Placements) -> Prim:
@@ -165,38 +165,38 @@ class Emitter:
         read = {name: primvar_fields(primvars[name]) for name in self.reader.primvars if name in primvars}
         return {**instancer, "primvars": read} if read else instancer
 
-    def mesh_lights(self, found: Found, matrices: Matrices) -> None:
+    def mesh_lights(self, found: Found, placements: Placements) -> None:
         """A mesh light is a mesh and a light; inside instances each placement gets its own pair."""
         mesh = self.mesh(found)
         if mesh is None:
             return
         light = flatten_light(found.prim, "Mesh", self.reader, self.textures, self.domes_visible)
         keys = (
-            [key + ".mesh" for key in placed_keys(found.key, len(matrices))]
-            if len(matrices) > 1
+            [key + ".mesh" for key in placed_keys(found.key, len(placements))]
+            if len(placements) > 1
             else [found.key]
         )
         copies = [mesh] + [dict(mesh) for _ in keys[1:]]
         self.bindables.extend((found.prim, copy) for copy in copies[1:])
         self.meshes.extend((found, copy) for copy in copies[1:])
-        for key, copy, matrix in zip(keys, copies, local_to_world(found, matrices), strict=True):
-            copy["transform"] = self.reader.matrix(found.prim, matrix.tolist())
+        for key, copy, matrix in zip(keys, copies, local_to_world(found, placements), strict=True):
+            copy["transform"] = self.reader.matrix(found.prim, matrix)
             self.prims[key] = copy
-        placed = self.lights(found, light, matrices, keys)
+        placed = self.lights(found, light, placements, keys)
         mode = sync_mode(found.prim, self.reader)
         self.synced.extend(
             (found, mode, self.prims[key], light) for key, light in zip(keys, placed, strict=True)
         )
 
-    def lights(self, found: Found, light: Prim, matrices: Matrices, meshes: list[str]) -> list[Prim]:
+    def lights(self, found: Found, light: Prim, placements: Placements, meshes: list[str]) -> list[Prim]:
         links = {
             "lightLink": self.links.name(found.prim, "lightLink"),
             "shadowLink": self.links.name(found.prim, "shadowLink"),
         }
-        keys = placed_keys(found.key + (".light" if found.emits else ""), len(matrices))
-        for key, mesh, matrix in zip(keys, meshes, local_to_world(found, matrices), strict=True):
+        keys = placed_keys(found.key + (".light" if found.emits else ""), len(placements))
+        for key, mesh, matrix in zip(keys, meshes, local_to_world(found, placements), strict=True):
             shape = {**light["shape"], "mesh": mesh} if mesh else light["shape"]
-            transform = self.reader.matrix(found.prim, matrix.tolist())
+            transform = self.reader.matrix(found.prim, matrix)
             self.prims[key] = {
                 **light,
                 **links,
@@ -289,8 +289,11 @@ def networks(material: Prim) -> list[Prim]:
     return [material[name] for name in ("network", "displacement") if name in material]
 
 
-def local_to_world(found: Found, matrices: Matrices) -> Matrices:
-    return nested(np.array(found.matrix)[None], matrices)
+def local_to_world(found: Found, placements: Placements) -> list[Gf.Matrix4d]:
+    if placements.placed is None:
+        return [found.matrix]
+    matrices = nested(np.array(found.matrix)[None], placements.placed)
+    return [Gf.Matrix4d(*matrix) for matrix in matrices.reshape(-1, 16).tolist()]
 
 
 def placed_keys(key: str, count: int) -> list[str]:

@@ -2,32 +2,30 @@
 
 import math
 from collections.abc import Iterator
+from functools import cache
 from typing import Any
 
 from pxr import Gf, Sdf, Usd, UsdShade
 
-from .images import find_images, wrap_modes
-from .materialx_colors import COLOR_NODES
-from .materialx_nodes import MATERIALX_NODES
-from .materialx_ramps import RAMP_NODES
-from .materialx_textures import TEXTURE_NODES
-from .materialx_vectors import VECTOR_NODES
 from .network import Network, Unsupported, Value, constant
 from .nodes import Handler, Node
 from .reading import Reader
-from .usd_nodes import USD_NODES
 
 Fields = dict[str, Any]
 
-HANDLERS: dict[str, Handler] = {
-    **USD_NODES,
-    **MATERIALX_NODES,
-    **COLOR_NODES,
-    **VECTOR_NODES,
-    **TEXTURE_NODES,
-    **RAMP_NODES,
-}
-"""What computes a node, by category."""
+
+@cache
+def handlers() -> dict[str, Handler]:
+    """What computes a node, by category; loaded where there are nodes."""
+    from .materialx_colors import COLOR_NODES
+    from .materialx_nodes import MATERIALX_NODES
+    from .materialx_ramps import RAMP_NODES
+    from .materialx_textures import TEXTURE_NODES
+    from .materialx_vectors import VECTOR_NODES
+    from .usd_nodes import USD_NODES
+
+    nodes = (USD_NODES, MATERIALX_NODES, COLOR_NODES, VECTOR_NODES, TEXTURE_NODES, RAMP_NODES)
+    return {category: handler for table in nodes for category, handler in table.items()}
 
 
 class Graph:
@@ -223,6 +221,8 @@ class StageNode:
         return source.Get(self.graph.reader.time)
 
     def image(self, file: str, space: str, node: Fields) -> Fields:
+        from .images import find_images, wrap_modes
+
         shader_input = self.shader.GetInput(file)
         source = self.graph.source(shader_input) if shader_input else None
         reader = self.graph.reader
@@ -249,7 +249,7 @@ def shader_id(node: Usd.Prim) -> str:
 def category(identifier: str) -> str:
     """`ND_multiply_color3FA` is a `multiply`; nodes of one type alone have no more than their name."""
     if identifier.startswith("ND_"):
-        if identifier[3:] in HANDLERS:
+        if identifier[3:] in handlers():
             return identifier[3:]
         return identifier[3:].split("_")[0]
     return identifier.split("_")[0]
@@ -257,7 +257,7 @@ def category(identifier: str) -> str:
 
 def evaluate(node: Node) -> Value:
     """Raises Unsupported."""
-    handler = HANDLERS.get(node.category)
+    handler = handlers().get(node.category)
     if handler is None:
         raise Unsupported("it is not supported")
     return handler(node)

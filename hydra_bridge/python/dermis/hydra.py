@@ -1,16 +1,20 @@
 """Hydra's vocabulary: dirty bits, the delegate, and the edits that lead from one flattened stage to the
 next."""
 
+from __future__ import annotations
+
 import json
 from dataclasses import replace
 from enum import IntFlag
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
 from pxr import Usd
 
-from .stage import FlatStage, Options, encode, flatten_prim
+from .arrays import np
+from .stage import FlatStage, Options, encode, flatten_prim_for_core
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 Prim = dict[str, Any]
 
@@ -103,6 +107,7 @@ def same(a: Any, b: Any) -> bool:
     """Deep equality of fields: identity first, arrays by type and value."""
     if a is b:
         return True
+    a, b = (np.asarray(x) if isinstance(x, memoryview) else x for x in (a, b))
     if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
         return a.dtype == b.dtype and (same_memory(a, b) or np.array_equal(a, b))
     if isinstance(a, dict) and isinstance(b, dict):
@@ -188,7 +193,7 @@ class Delegate:
         options = options or Options()
         # Their primvars are read of every prim.
         aovs = json.loads(self.core.settings()).get("aovs", ())
-        flat = flatten_prim(prim, time, replace(options, aovs=(*options.aovs, *aovs)))
+        flat = flatten_prim_for_core(prim, time, replace(options, aovs=(*options.aovs, *aovs)))
         root = str(prim.GetPath())
         for key, fields in flat.prims.items():
             if key == root or key.startswith((root + "/", root + "[", root + ".")):

@@ -1,15 +1,19 @@
 """IES profiles (IESNA LM-63-1986 to ANSI/IES LM-63-19): candela over vertical and horizontal angles, type C."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
 from pxr import Ar, Usd
 
+from .arrays import np
 from .reading import Reader
 from .texture import TextureError, stamp
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 TYPE_C = 1
 KINDS = {2: "B", 3: "A"}

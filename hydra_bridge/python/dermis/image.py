@@ -1,14 +1,15 @@
 """From a stage to named arrays in one call."""
 
+from __future__ import annotations
+
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
 from pxr import Usd
 
+from .arrays import np
 from .hydra import populate
 from .stage import (
     FlatStage,
@@ -17,16 +18,19 @@ from .stage import (
     camera_fields,
     find_camera,
     first_time,
-    flatten,
+    flatten_for_core,
     is_camera,
     open_stage,
 )
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 AUTO_CAMERA = "/dermis/AutoCamera"
 """Where the camera goes that frames a stage without one."""
 
 
-class Image(Mapping[str, NDArray[np.float32]]):
+class Image(Mapping[str, "NDArray[np.float32]"]):
     """AOVs by name, float32 (height, width, channels), linear: `image["color"]` or `image.color` (RGBA).
 
     `stats` has the names of `--stats`.
@@ -86,7 +90,7 @@ def render(
             aovs=tuple(settings.get("aovs", ())),
             motion=True if vectors else None if still is None else not still,
         )
-        flat = flatten(stage, time, options)
+        flat = flatten_for_core(stage, time, options)
         ensure_camera(stage, time, flat, settings)
         delegate = core()
         # Before images are synced, which go where it says.

@@ -3,22 +3,25 @@
 They keep the numbers of their files; only spaces other than sRGB and raw are converted here, by OpenColorIO.
 """
 
+from __future__ import annotations
+
 import os
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
 from pxr import Ar, Usd, UsdShade
 
+from .arrays import np
 from .color import ColorError, linear_rec709, open_config
 from .colorspace import REC709, transformed
 from .reading import Reader
 from .texture import RAW_SPACES, SRGB_SPACES, TextureError, says_linear, srgb_to_linear, stamp, to_rec709
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 Fields = dict[str, Any]
 
@@ -137,6 +140,8 @@ def unpacked(path: str) -> Iterator[str]:
     if not Ar.IsPackageRelativePath(path):
         yield path
         return
+    import tempfile
+
     with tempfile.NamedTemporaryFile(suffix=Path(Ar.SplitPackageRelativePathInner(path)[1]).suffix) as file:
         asset = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(path))
         if not asset:

@@ -5,13 +5,17 @@ first direction after it, t along the profile from pole to pole or over the side
 each face of a cube and on a plane.
 """
 
-from typing import Any
+from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Any
+
 from pxr import Usd
 
+from .arrays import np
 from .reading import Reader
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 SEGMENTS = 96
 """Around the axis; the silhouette stays within 0.06 % of the radius."""

@@ -1,30 +1,39 @@
 """PointInstancer arrays as placements, and nested placements multiplied out."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
-import numpy as np
-from numpy.typing import NDArray
 from pxr import Usd, UsdGeom
 
+from .arrays import np
 from .reading import Reader, numeric
 
-Matrices = NDArray[np.float64]
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+Matrices: TypeAlias = "NDArray[np.float64]"
 """(n, 4, 4), row vectors."""
 
 
 @dataclass(frozen=True)
 class Placements:
-    """`primvars`: (n, components) float32 by name; a row of NaN where an instance has none."""
+    """`placed`: None where it is once, at its own place. `primvars`: (n, components) float32 by name; a row of NaN
+    where an instance has none."""
 
-    matrices: Matrices
+    placed: Matrices | None = None
     primvars: dict[str, NDArray[np.float32]] = field(default_factory=dict)
 
     def __len__(self) -> int:
-        return len(self.matrices)
+        return 1 if self.placed is None else len(self.placed)
 
-    def within(self, outer: "Placements") -> "Placements":
+    @property
+    def matrices(self) -> Matrices:
+        return np.eye(4)[None] if self.placed is None else self.placed
+
+    def within(self, outer: Placements) -> Placements:
         """Every one of these in every outer one; what an inner instance has not, it has from the outer one."""
         inner, outside = len(self), len(outer)
         primvars = {name: np.repeat(values, inner, axis=0) for name, values in outer.primvars.items()}
@@ -47,8 +56,8 @@ def point_instances(prim: Usd.Prim, reader: Reader) -> tuple[NDArray, Placements
 
     Damaged arrays lose what cannot be used, with a warning each.
     """
-    indices = reader.array(prim, "protoIndices", np.int32, 1)
-    positions = reader.array(prim, "positions", np.float32, 3)
+    indices = reader.array(prim, "protoIndices", "int32", 1)
+    positions = reader.array(prim, "positions", "float32", 3)
     if indices is None or positions is None or not len(indices) or not len(positions):
         return np.zeros(0, np.int32), Placements(np.zeros((0, 4, 4)))
     count = min(len(indices), len(positions))
@@ -124,7 +133,7 @@ def optional_array(
 ) -> NDArray | None:
     """The first authored of `names` if it has one value per instance."""
     for name in names:
-        values = reader.array(prim, name, np.float32, components)
+        values = reader.array(prim, name, "float32", components)
         if values is None or not len(values):
             continue
         if len(values) >= count:
@@ -156,8 +165,8 @@ def drift(prim: Usd.Prim, count: int, reader: Reader) -> NDArray | float:
         return 0.0
     sample = Reader(Usd.TimeCode(bracket[0]), reader.report)
     velocities = optional_array(prim, ("velocities",), 3, count, sample)
-    start = sample.array(prim, "positions", np.float32, 3)
-    now = reader.array(prim, "positions", np.float32, 3)
+    start = sample.array(prim, "positions", "float32", 3)
+    now = reader.array(prim, "positions", "float32", 3)
     if velocities is None or start is None or len(start) < count or len(now) < count:
         return 0.0
     seconds = (reader.time.GetValue() - bracket[0]) / prim.GetStage().GetTimeCodesPerSecond()
@@ -166,10 +175,10 @@ def drift(prim: Usd.Prim, count: int, reader: Reader) -> NDArray | float:
 
 def shown(prim: Usd.Prim, count: int, reader: Reader) -> NDArray:
     """Instances that are neither in `invisibleIds` nor deactivated."""
-    ids = reader.array(prim, "ids", np.int64, 1)
+    ids = reader.array(prim, "ids", "int64", 1)
     if ids is None or len(ids) < count:
         ids = np.arange(count)
-    hidden = reader.array(prim, "invisibleIds", np.int64, 1)
+    hidden = reader.array(prim, "invisibleIds", "int64", 1)
     inactive = prim.GetMetadata("inactiveIds")
     gone = list(hidden) if hidden is not None else []
     gone += list(inactive.ApplyOperations([])) if inactive else []
@@ -204,7 +213,7 @@ def place(edges: dict[Any, list[tuple[Any, Placements]]], root: Any, warn: Any) 
     A frame inside itself has no end: that edge is dropped, with `warn(child)`.
     """
     order = topological(edges, root, warn)
-    parts: dict[Any, list[Placements]] = {root: [Placements(np.eye(4)[None])]}
+    parts: dict[Any, list[Placements]] = {root: [Placements()]}
     placements: dict[Any, Placements] = {}
     for frame in order:
         placements[frame] = joined(parts.get(frame, []))
@@ -216,7 +225,7 @@ def place(edges: dict[Any, list[tuple[Any, Placements]]], root: Any, warn: Any) 
 def joined(parts: list[Placements]) -> Placements:
     """One after the other; those of a part that has not a primvar have none."""
     if len(parts) == 1:
-        return Placements(np.ascontiguousarray(parts[0].matrices), parts[0].primvars)
+        return parts[0]
     widths: dict[str, int] = {}
     for part in parts:
         for name, values in part.primvars.items():

@@ -4,11 +4,8 @@ from typing import Any
 
 from pxr import Usd, UsdGeom
 
-from .dome_layout import LAYOUTS, to_latlong
-from .ies import flatten_profile
 from .portal import portals
 from .reading import Reader
-from .texture import flatten_texture
 
 LIGHT_TYPES = (
     "RectLight",
@@ -89,6 +86,8 @@ def shaping(prim: Usd.Prim, reader: Reader) -> Fields | None:
         "coneAngle": reader.value(prim, "inputs:shaping:cone:angle", 90.0),
         "coneSoftness": reader.value(prim, "inputs:shaping:cone:softness", 0.0),
     }
+    from .ies import flatten_profile
+
     profile = flatten_profile(prim, reader)
     return {**fields, "ies": profile} if profile else fields
 
@@ -163,10 +162,16 @@ def shape(prim: Usd.Prim, kind: str, reader: Reader, textures: dict[str, Fields]
 
 
 def image(prim: Usd.Prim, reader: Reader, textures: dict[str, Fields] | None) -> str:
-    return "" if textures is None else flatten_texture(prim, "inputs:texture:file", reader, textures)
+    if textures is None or reader.asset(prim, "inputs:texture:file") is None:
+        return ""
+    from .texture import flatten_texture  # only where there is one
+
+    return flatten_texture(prim, "inputs:texture:file", reader, textures)
 
 
 def dome_texture(prim: Usd.Prim, reader: Reader, textures: dict[str, Fields] | None) -> str:
+    from .dome_layout import LAYOUTS, to_latlong
+
     layout = reader.value(prim, "inputs:texture:format", "automatic")
     if layout not in ("automatic", "latlong", *LAYOUTS):
         reader.warn(prim, f"inputs:texture:format: '{layout}' is not known; the dome emits its plain colour")

@@ -1,15 +1,20 @@
 """Meshes with their primvars: UsdGeomMesh as it stands, implicit prims tessellated."""
 
-from collections.abc import Mapping
-from typing import Any
+from __future__ import annotations
 
-import numpy as np
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
 from pxr import Usd, UsdGeom
 
-from .curves import Tessellation, read_primvar, tessellate_curves
+from .arrays import np
 from .implicit import IMPLICIT_TYPES, tessellate, texture_coordinates
-from .reading import Reader, numeric
+from .reading import HELD, Reader, numeric
 from .skel import Skins
+
+# `curves` is loaded where there are some.
+if TYPE_CHECKING:
+    from .curves import Tessellation
 
 PRIMVARS = {"displayColor": ("displayColor", 3), "displayOpacity": ("displayOpacity", 1)}
 """Primvar -> field of Mesh, components; others are read where a material asks for them."""
@@ -39,11 +44,11 @@ SUBDIV_TOKENS = {
 """Tokens by attribute, the schema's fallback first."""
 
 SUBDIV_ARRAYS = {
-    "creaseIndices": np.int32,
-    "creaseLengths": np.int32,
-    "creaseSharpnesses": np.float32,
-    "cornerIndices": np.int32,
-    "cornerSharpnesses": np.float32,
+    "creaseIndices": "int32",
+    "creaseLengths": "int32",
+    "creaseSharpnesses": "float32",
+    "cornerIndices": "int32",
+    "cornerSharpnesses": "float32",
 }
 
 CURVES = ("BasisCurves", "HermiteCurves")
@@ -80,6 +85,8 @@ def flatten_mesh(
 
 
 def curves(prim: Usd.Prim, reader: Reader, inherited: Inherited, skins: Skins) -> dict[str, Any] | None:
+    from .curves import read_primvar, tessellate_curves
+
     made = tessellate_curves(prim, reader, skins)
     if made is None:
         return None
@@ -95,9 +102,11 @@ def curves(prim: Usd.Prim, reader: Reader, inherited: Inherited, skins: Skins) -
 
 
 def polygons(prim: Usd.Prim, reader: Reader) -> dict[str, Any] | None:
-    points = reader.moving(prim, "points", np.float32, 3)
-    counts = reader.array(prim, "faceVertexCounts", np.int32, 1)
-    indices = reader.array(prim, "faceVertexIndices", np.int32, 1)
+    points = reader.held(prim, "points", reader.moved(prim, "points"), "float32", 3)
+    counts, indices = (
+        reader.held(prim, name, reader.raw(prim, name), "int32", 1)
+        for name in ("faceVertexCounts", "faceVertexIndices")
+    )
     for name, array in (("points", points), ("faceVertexCounts", counts), ("faceVertexIndices", indices)):
         if array is None or not len(array):
             reader.warn(prim, f"{name}: empty; the mesh is not rendered")
@@ -111,7 +120,7 @@ def polygons(prim: Usd.Prim, reader: Reader) -> dict[str, Any] | None:
             prim, "subdivisionScheme", ("catmullClark", "loop", "bilinear", "none"), reader
         ),
     }
-    holes = reader.array(prim, "holeIndices", np.int32, 1)
+    holes = reader.held(prim, "holeIndices", reader.raw(prim, "holeIndices"), "int32", 1)
     if holes is not None and len(holes):
         mesh["holeIndices"] = holes
     if mesh["subdivisionScheme"] == "none":
@@ -136,7 +145,7 @@ def subdiv_tags(prim: Usd.Prim, reader: Reader) -> dict[str, Any]:
         name: choice(prim, name, tokens, reader) for name, tokens in SUBDIV_TOKENS.items()
     }
     for name, dtype in SUBDIV_ARRAYS.items():
-        values = reader.array(prim, name, dtype, 1)
+        values = reader.held(prim, name, reader.raw(prim, name), dtype, 1)
         if values is not None and len(values):
             tags[name] = values
     return tags
@@ -179,7 +188,7 @@ def add_normals(prim: Usd.Prim, mesh: dict[str, Any], reader: Reader) -> None:
     if primvar and primvar.HasAuthoredValue():
         normals = flatten_primvar(prim, primvar, 3, mesh, reader, reader.moment)
     else:
-        values = reader.moving(prim, "normals", np.float32, 3)
+        values = reader.held(prim, "normals", reader.moved(prim, "normals"), "float32", 3)
         interpolation = UsdGeom.PointBased(prim).GetNormalsInterpolation()
         normals = checked(prim, "normals", interpolation, values, None, mesh, reader)
     if normals is not None:
@@ -215,7 +224,11 @@ def flatten_read_primvars(
     """`flat::Mesh::primvars` of those among `names` that the prim has; `names`: to what reads it, if a missing one is
     to be said. `hair`: a material is one, which asks curves for more."""
     api, found = UsdGeom.PrimvarsAPI(prim), {}
-    made = tessellate_curves(prim, reader, skins) if kind in CURVES else None
+    made = None
+    if kind in CURVES:
+        from .curves import tessellate_curves
+
+        made = tessellate_curves(prim, reader, skins)
     for name, user in names.items():
         primvar = api.GetPrimvar(name)
         if not (primvar and primvar.HasAuthoredValue()):
@@ -247,6 +260,8 @@ def read_by(
     components = components_of(primvar, reader)
     if curves is None:
         return flatten_primvar(prim, primvar, components, mesh, reader)
+    from .curves import read_primvar
+
     attribute = read_primvar(prim, primvar, components, curves.spline, reader)
     return curves.primvar(*attribute) if attribute else None
 
@@ -254,7 +269,7 @@ def read_by(
 def components_of(primvar: UsdGeom.Primvar, reader: Reader) -> int:
     """1 where the value is no array of vectors, which reading it says."""
     value = primvar.Get(reader.time)
-    array = numeric(value)
+    array = memoryview(value) if type(value) in HELD.values() else numeric(value)
     if array is None:
         return 1
     if array.ndim == 1 and not isinstance(value, (list, tuple)) and not is_array(primvar):
@@ -282,10 +297,10 @@ def flatten_primvar(
     if value is not None and not is_array(primvar) and not isinstance(value, str):
         # A constant may be one value instead of an array of one.
         value = [value]
-    values = reader.as_array(prim, name, value, np.float32, components)
+    values = reader.held(prim, name, value, "float32", components)
     if values is not None:
         values = reader.colors.of(primvar.GetAttr(), values)
-    indices = reader.as_array(prim, f"{name}:indices", indices_of(primvar, reader), np.int32, 1)
+    indices = reader.held(prim, f"{name}:indices", indices_of(primvar, reader), "int32", 1)
     return checked(prim, name, primvar.GetInterpolation(), values, indices, mesh, reader)
 
 
@@ -317,8 +332,6 @@ def checked(
         problem = f"interpolation '{interpolation}' is unknown"
     elif count != expected:
         problem = f"{count} values where {interpolation} interpolation needs {expected}"
-    elif indices is not None and (indices.min() < 0 or indices.max() >= len(values)):
-        problem = f"indices leave the range 0 to {len(values) - 1}"
     else:
         primvar = {"interpolation": interpolation, "values": values}
         return primvar if indices is None else {**primvar, "indices": indices}
@@ -335,7 +348,7 @@ def flatten_subsets(prim: Usd.Prim, kind: str, reader: Reader) -> list[tuple[Usd
             what = f"elementType: '{element}', of a {kind}: only faces of meshes have materials of their own"
             reader.warn(subset.GetPrim(), f"{what}; ignored")
             continue
-        indices = reader.array(subset.GetPrim(), "indices", np.int32, 1)
+        indices = reader.array(subset.GetPrim(), "indices", "int32", 1)
         if indices is not None and len(indices):
             fields = {"path": str(subset.GetPath()), "indices": indices, "material": ""}
             subsets.append((subset.GetPrim(), fields))

@@ -5,16 +5,17 @@ their velocities. Times are those at which the stage has samples, the ends, and 
 straight from one matrix to the next, as Hydra does.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
 from pxr import Gf, Usd, UsdGeom
 
+from .arrays import np
 from .index import MOVING, index_of
 from .instancer import Matrices, Placements, nested
 from .linking import Links
@@ -23,6 +24,9 @@ from .points import flatten_points
 from .reading import Reader, Report
 from .skel import Skins, is_skinned
 from .walk import Found, Frame, Walk
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 Prim = dict[str, Any]
 
@@ -302,14 +306,16 @@ class Sampling:
     def points(self, found: Found, shares: NDArray) -> None:
         mesh, inherited = self.prims[found.key], found.context.inherited()
         sampled = [flatten_mesh(found.prim, found.kind, at.reader, inherited, at) for at in self.skins]
-        points = [there["points"] if there else np.zeros((0, 3)) for there in sampled]
+        points = [np.asarray(there["points"]) if there else np.zeros((0, 3)) for there in sampled]
         if any(len(p) != len(mesh["points"]) for p in points):
             message = "points: their number changes while the shutter is open and there are no velocities"
             self.scene.reader.warn(found.prim, f"{message}; it keeps its shape")
             return
-        normals = [there["normals"]["values"] for there in sampled if there and "normals" in there]
-        own = mesh.get("normals", {}).get("values")
-        if own is None or len(normals) != len(shares) or any(n.shape != own.shape for n in normals):
+        normals = [
+            np.asarray(there["normals"]["values"]) for there in sampled if there and "normals" in there
+        ]
+        own = np.asarray(mesh.get("normals", {}).get("values", ()))
+        if not len(own) or len(normals) != len(shares) or any(n.shape != own.shape for n in normals):
             normals = []
         both = [np.concatenate(pair) for pair in zip(points, normals, strict=True)] if normals else points
         kept = needed(shares, both, lambda p: SAME * max(np.ptp(p, axis=0).max(initial=0.0), 1e-30))

@@ -1,11 +1,13 @@
 """Shading networks as expressions: what is constant is computed here, the rest becomes nodes of `flat::Network`."""
 
+from __future__ import annotations
+
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
+from .arrays import np, single
 from .reading import FLOAT32_MAX
 
 Lanes = tuple[float, float, float, float]
@@ -31,7 +33,7 @@ class Value:
 
 def constant(numbers: Any) -> Value:
     """A number or a vector of up to four."""
-    if np.ndim(numbers) == 0:
+    if not hasattr(numbers, "__len__"):
         return Value(1, (float(numbers),) * 4)
     values = [float(x) for x in numbers]
     return Value(len(values), tuple([*values, 0.0, 0.0, 0.0, 0.0][:4]))
@@ -50,7 +52,7 @@ class Network:
             return value.index
         if not all(abs(x) <= FLOAT32_MAX for x in value.lanes):
             raise Unsupported("what is constant of it is not finite")
-        return self._add({"node": "constant", "value": [float(np.float32(x)) for x in value.lanes]})
+        return self._add({"node": "constant", "value": [single(x) for x in value.lanes]})
 
     def _add(self, node: dict[str, Any]) -> int:
         key = repr(node)
@@ -67,8 +69,11 @@ class Network:
         # Of the arguments of a choice the first two are compared.
         width = max(arg.width for arg in (args[2:] or args))
         if all(arg.lanes is not None for arg in args):
+            operation = OPERATIONS[op]
+            if isinstance(operation, str):
+                operation = getattr(np, operation)
             with np.errstate(all="ignore"):
-                lanes = OPERATIONS[op](*(np.array(arg.lanes, np.float64) for arg in args))
+                lanes = operation(*(np.array(arg.lanes, np.float64) for arg in args))
             # Beyond the width anything may come out, 0 / 0 too.
             return Value(
                 width, tuple(float(x) if width == 1 or i < width else 0.0 for i, x in enumerate(lanes))
@@ -165,7 +170,7 @@ class Network:
         """Counterclockwise."""
         if degrees.lanes is not None and degrees.lanes[0] == 0.0:
             return st
-        angle = self.multiply(degrees, constant(np.pi / 180.0))
+        angle = self.multiply(degrees, constant(math.pi / 180.0))
         cos, sin = self.math("cos", angle), self.math("sin", angle)
         s, t = self.lane(st, 0), self.lane(st, 1)
         x = self.subtract(self.multiply(s, cos), self.multiply(t, sin))
@@ -195,35 +200,35 @@ def hsv_to_rgb(c: np.ndarray) -> np.ndarray:
     return np.array([channel(5.0), channel(3.0), channel(1.0), c[3]])
 
 
-OPERATIONS: dict[str, Callable[..., np.ndarray]] = {
-    "add": np.add,
-    "subtract": np.subtract,
-    "multiply": np.multiply,
-    "divide": np.divide,
+OPERATIONS: dict[str, str | Callable[..., np.ndarray]] = {
+    "add": "add",
+    "subtract": "subtract",
+    "multiply": "multiply",
+    "divide": "divide",
     "modulo": lambda a, b: a - b * np.floor(a / b),
-    "power": np.power,
-    "min": np.minimum,
-    "max": np.maximum,
-    "atan2": np.arctan2,
-    "absval": np.abs,
-    "sign": np.sign,
-    "floor": np.floor,
-    "ceil": np.ceil,
+    "power": "power",
+    "min": "minimum",
+    "max": "maximum",
+    "atan2": "arctan2",
+    "absval": "abs",
+    "sign": "sign",
+    "floor": "floor",
+    "ceil": "ceil",
     "round": lambda a: np.floor(a + 0.5),
-    "sqrt": np.sqrt,
-    "exp": np.exp,
-    "ln": np.log,
-    "sin": np.sin,
-    "cos": np.cos,
-    "tan": np.tan,
-    "asin": np.arcsin,
-    "acos": np.arccos,
+    "sqrt": "sqrt",
+    "exp": "exp",
+    "ln": "log",
+    "sin": "sin",
+    "cos": "cos",
+    "tan": "tan",
+    "asin": "arcsin",
+    "acos": "arccos",
     "ifgreater": lambda a, b, c, d: np.where(a > b, c, d),
     "ifequal": lambda a, b, c, d: np.where(a == b, c, d),
     "rgbtohsv": rgb_to_hsv,
     "hsvtorgb": hsv_to_rgb,
 }
-"""`flat::Op` on constants."""
+"""`flat::Op` on constants: functions, or the names of numpy's."""
 
 NEUTRAL = {"add": 0.0, "subtract": 0.0, "multiply": 1.0, "divide": 1.0}
 """The second argument that changes nothing."""

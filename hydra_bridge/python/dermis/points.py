@@ -1,17 +1,21 @@
 """Points as instances of one sphere: a matrix and a colour each."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
 from pxr import Usd, UsdGeom
 
+from .arrays import np
 from .implicit import sphere
 from .instancer import Matrices
 from .reading import Reader
 from .skel import Skins
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 
 @dataclass
@@ -28,7 +32,7 @@ def flatten_points(
     prim: Usd.Prim, reader: Reader, inherited: Mapping[str, UsdGeom.Primvar], skins: Skins
 ) -> Spheres | None:
     """None where there is nothing to render, which was said."""
-    points = reader.moving(prim, "points", np.float32, 3)
+    points = reader.as_array(prim, "points", reader.moved(prim, "points"), "float32", 3)
     if points is None or not len(points):
         reader.warn(prim, "points: empty; they are not rendered")
         return None
@@ -55,9 +59,9 @@ def authored_widths(prim: Usd.Prim, reader: Reader) -> tuple[str, Any]:
     """`primvars:widths` beats `widths` (UsdGeomPoints)."""
     primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("widths")
     if primvar and primvar.HasAuthoredValue():
-        values = reader.as_array(prim, "widths", primvar.ComputeFlattened(reader.time), np.float32, 1)
+        values = reader.as_array(prim, "widths", primvar.ComputeFlattened(reader.time), "float32", 1)
         return primvar.GetInterpolation(), values
-    return UsdGeom.Points(prim).GetWidthsInterpolation(), reader.array(prim, "widths", np.float32, 1)
+    return UsdGeom.Points(prim).GetWidthsInterpolation(), reader.array(prim, "widths", "float32", 1)
 
 
 def per_point(
@@ -89,7 +93,7 @@ def display_colors(
         primvar = primvar if primvar and primvar.HasAuthoredValue() else inherited.get(name)
         if not primvar:
             continue
-        values = reader.as_array(prim, name, primvar.ComputeFlattened(reader.time), np.float32, components)
+        values = reader.as_array(prim, name, primvar.ComputeFlattened(reader.time), "float32", components)
         values = per_point(prim, name, primvar.GetInterpolation(), values, count, reader)
         if values is None:
             continue

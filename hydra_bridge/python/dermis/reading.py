@@ -1,17 +1,30 @@
 """Guarded reads: whatever a stage holds, a read gives a usable value or one warning that names prim and
 attribute."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
 from pxr import Sdf, Tf, Usd, UsdGeom, Vt
 
+from .arrays import np
 from .colorspace import Colors
 
-FLOAT32_MAX = float(np.finfo(np.float32).max)
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+FLOAT32_MAX = (2.0 - 2.0**-23) * 2.0**127
+
+HELD = {
+    ("float32", 1): Vt.FloatArray,
+    ("float32", 2): Vt.Vec2fArray,
+    ("float32", 3): Vt.Vec3fArray,
+    ("float32", 4): Vt.Vec4fArray,
+    ("int32", 1): Vt.IntArray,
+}
+"""What holds scalars of a type, so many to an element, as the core takes them."""
 
 
 class Report:
@@ -62,9 +75,9 @@ class Reader:
 
     def colored(self, attribute: Usd.Attribute, value: tuple[float, ...]) -> tuple[float, ...]:
         """A value of an attribute in the space that is rendered in; the same where it is no colour."""
-        array = np.asarray(value, np.float64)
-        changed = self.colors.of(attribute, array)
-        return value if changed is array else tuple(float(x) for x in changed)
+        if not self.colors.changes(attribute):
+            return value
+        return tuple(float(x) for x in self.colors.of(attribute, np.asarray(value, np.float64)))
 
     def raw(self, prim: Usd.Prim, name: str) -> Any:
         """The attribute's value at the time, or None where there is none."""
@@ -80,13 +93,13 @@ class Reader:
             self.warn(prim, f"{name}: {error}; {default!r} is used")
             return default
 
-    def array(self, prim: Usd.Prim, name: str, dtype: Any, components: int) -> NDArray | None:
+    def array(self, prim: Usd.Prim, name: str, dtype: str, components: int) -> NDArray | None:
         """The attribute as array of shape (n,) or (n, components), a view of USD's own memory where the type
         allows."""
         return self.as_array(prim, name, self.raw(prim, name), dtype, components)
 
-    def moving(self, prim: Usd.Prim, name: str, dtype: Any, components: int) -> NDArray | None:
-        """An array at the moment. Points go by their velocities where these are authored (UsdGeomPointBased)."""
+    def moved(self, prim: Usd.Prim, name: str) -> Any:
+        """A value at the moment. Points go by their velocities where these are authored (UsdGeomPointBased)."""
         attribute = prim.GetAttribute(name)
         value = attribute.Get(self.moment) if attribute else None
         if name == "points" and not self.moment.IsDefault() and not self.time.IsDefault():
@@ -95,7 +108,7 @@ class Reader:
                 value = self.by_velocities(prim, value)
         elif name == "normals" and "velocities" in prim.GetAuthoredPropertyNames():
             value = self.raw(prim, name)
-        return self.as_array(prim, name, value, dtype, components)
+        return value
 
     def by_velocities(self, prim: Usd.Prim, value: Any) -> Any:
         """`value`, the points by interpolation, where velocities are of no use."""
@@ -108,9 +121,19 @@ class Reader:
             )
             return value
 
-    def as_array(self, prim: Usd.Prim, name: str, value: Any, dtype: Any, components: int) -> NDArray | None:
+    def as_array(self, prim: Usd.Prim, name: str, value: Any, dtype: str, components: int) -> NDArray | None:
+        """A value as array of shape (n,) or (n, components); None, and a warning, where it is none."""
+        held = self.held(prim, name, value, dtype, components)
+        return None if held is None else np.asarray(held)
+
+    def held(
+        self, prim: Usd.Prim, name: str, value: Any, dtype: str, components: int
+    ) -> memoryview | NDArray | None:
+        """As `as_array`, for the core: USD's own memory, without numpy, where USD holds just that."""
         if value is None:
             return None
+        if type(value) is HELD.get((dtype, components)):
+            return memoryview(value)
         array = numeric(value)
         shape = () if components == 1 else (components,)
         if (
@@ -120,7 +143,7 @@ class Reader:
             or not fits(array, dtype)
         ):
             kind = (
-                "integers" if dtype == np.int32 else "numbers" if components == 1 else f"{components}-vectors"
+                "integers" if dtype == "int32" else "numbers" if components == 1 else f"{components}-vectors"
             )
             self.warn(
                 prim, f"{name}: an array of {kind} was expected, found {describe(value)}; it is ignored"
@@ -179,7 +202,7 @@ def numeric(value: Any) -> NDArray | None:
     return array if array.dtype.kind in "fiub" else None
 
 
-def fits(array: NDArray, dtype: Any) -> bool:
+def fits(array: NDArray, dtype: str) -> bool:
     """Whether the conversion keeps the kind: no fractions into integers."""
     return np.dtype(dtype).kind == "f" or array.dtype.kind in "iub"
 
@@ -192,7 +215,7 @@ def coerce(value: Any, default: Any) -> Any:
         return value
     if isinstance(default, tuple):
         return vector(value, len(default))
-    if isinstance(value, str) or not hasattr(value, "__float__") or np.ndim(value):
+    if isinstance(value, str) or not hasattr(value, "__float__") or getattr(value, "ndim", 0):
         raise TypeError(f"a number was expected, found {describe(value)}")
     return type(default)(finite(float(value)))
 

@@ -9,12 +9,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
 from pxr import Gf, Usd, UsdGeom, Vt
 
+from .arrays import np
 from .index import index_of
 from .reading import Reader
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from pxr import UsdSkel
@@ -75,7 +77,7 @@ class Skins:
         if not skeleton:
             self.reader.warn(prim, "skel:skeleton: there is no usable skeleton; the mesh stays at rest")
             return
-        points = Vt.Vec3fArray.FromNumpy(mesh["points"].copy())
+        points = Vt.Vec3fArray.FromNumpy(np.array(mesh["points"]))
         normals = Normals(mesh)
         if query.HasBlendShapes():
             self.blend(prim, query, skeleton, points, normals)
@@ -160,12 +162,13 @@ class Normals:
         self.points = {
             "vertex": np.arange(len(mesh["points"])),
             "varying": np.arange(len(mesh["points"])),
-            "faceVarying": mesh["faceVertexIndices"],
+            "faceVarying": np.asarray(mesh["faceVertexIndices"]),
         }.get(primvar["interpolation"])
         self.interpolation = primvar["interpolation"]
-        self.values = (
-            primvar["values"][primvar["indices"]] if "indices" in primvar else primvar["values"].copy()
-        )
+        values, indices = np.array(primvar["values"]), np.asarray(primvar.get("indices", ()))
+        if len(indices) and (indices.min() < 0 or indices.max() >= len(values)):
+            return  # which the core says
+        self.values = values[indices] if len(indices) else values
 
     def blend(self, shapes: UsdSkel.BlendShapeQuery, sub_shapes: tuple, indices: list) -> None:
         """Adds the normal offsets of the shapes, by the weights of their sub-shapes; to normals per point only, as

@@ -1,12 +1,17 @@
 """Curves as numbers: segments of every basis and wrap, samples along them, frames that do not twist."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
 
-import numpy as np
-from numpy.typing import NDArray
+from .arrays import np
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+Floats: TypeAlias = "NDArray[np.float64]"
+Ints: TypeAlias = "NDArray[np.int64]"
 
 BASES = {
     "linear": np.array([[0, 0, 0, 0], [0, 0, 0, 0], [-1, 1, 0, 0], [1, 0, 0, 0]], float),
@@ -42,7 +47,7 @@ class Spline:
         self.controls = self.control_points()
 
     @staticmethod
-    def hermite(points: Floats, tangents: Floats, counts: NDArray[np.int32]) -> "Spline":
+    def hermite(points: Floats, tangents: Floats, counts: NDArray[np.int32]) -> Spline:
         """The same cubics as Beziers: their inner control points are a third of the tangents away."""
         counts = counts.astype(np.int64)
         third = tangents / 3.0
@@ -108,7 +113,7 @@ class Spline:
         lengths = {"constant": 1, "uniform": len(self.counts), "vertex": len(self.points)}
         return self.varying if interpolation in ("varying", "faceVarying") else lengths.get(interpolation)
 
-    def sampled(self, pieces: Ints) -> "Samples":
+    def sampled(self, pieces: Ints) -> Samples:
         """`pieces` of each segment; open curves end with a sample of their own."""
         number = pieces + (self.last & (not self.closed))
         segment = np.repeat(np.arange(len(number)), number)

@@ -3,22 +3,22 @@ them."""
 
 import importlib.util
 import json
+import math
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from pxr import Ar, Gf, Sdf, Tf, Usd, UsdGeom, UsdShade
 
 from .aovs import PRIMVAR
+from .arrays import np
 from .camera import auto_camera, camera_fields, find_camera, find_shutter
 from .colorspace import Colors
 from .emit import Emitter, Still
-from .images import load_image
 from .index import index_of
+from .instancer import Placements
 from .material import flatten_material, is_fog
-from .motion import Scene, Shutter, add_motion
 from .portal import domes_through
 from .products import Product, flatten_products, warn_fog
 from .reading import Reader, Report, usd_words
@@ -29,7 +29,7 @@ from .settings import (
     included_purposes,
     rendering_color_space,
 )
-from .walk import Walk
+from .walk import Frame, Walk
 
 __all__ = [
     "FlatStage",
@@ -47,7 +47,8 @@ __all__ = [
 Prim = dict[str, Any]
 """`type` (Mesh, Instancer, Material, Light, Camera, Texture, Image) and the fields of `flat::Prim` in serde's
 names; arrays are C-contiguous numpy arrays: float32 (n,) or (n, k), int32 (n,), float64 (n, 4, 4), uint8 (n,),
-uint16 (n,). An Image is a file and a colour space until `encode` decodes it."""
+uint16 (n,); or memoryviews of such memory of USD's, where they go to the core. An Image is a file and a colour space
+until `encode` decodes it."""
 
 
 class StageError(Exception):
@@ -141,9 +142,36 @@ def flatten(
 ) -> FlatStage:
     """The stage at `time` (None: its first). Damage costs the prim and gives a warning, never an
     exception. `previous`: at another time, with the same options; meshes without samples are not read again."""
+    return in_numpy(flatten_for_core(stage, time, options, previous))
+
+
+def flatten_for_core(
+    stage: Usd.Stage,
+    time: Usd.TimeCode | float | None = None,
+    options: Options | None = None,
+    previous: FlatStage | None = None,
+) -> FlatStage:
+    """As `flatten`, without numpy where the stage needs none."""
     flattening = Flattening(stage, time, options or Options())
     flattening.run(previous)
     return flattening.flat
+
+
+def in_numpy(flat: FlatStage) -> FlatStage:
+    """The same with numpy arrays alone."""
+
+    def changed(value: Any) -> Any:
+        match value:
+            case memoryview():
+                return np.asarray(value)
+            case dict():
+                return {name: changed(item) for name, item in value.items()}
+            case list():
+                return [changed(item) for item in value]
+        return value
+
+    flat.prims = changed(flat.prims)
+    return flat
 
 
 def flatten_prim(
@@ -151,6 +179,13 @@ def flatten_prim(
 ) -> FlatStage:
     """One prim, what is below it, the materials and textures these use, and the domes whose portals are among them;
     `stage` and `settings` stay empty."""
+    return in_numpy(flatten_prim_for_core(prim, time, options))
+
+
+def flatten_prim_for_core(
+    prim: Usd.Prim, time: Usd.TimeCode | float | None = None, options: Options | None = None
+) -> FlatStage:
+    """As `flatten_prim`, without numpy where the prim needs none."""
     options = options or Options()
     flat = flatten_alone(prim, time, options)
     if not prim.IsA(UsdShade.Material):
@@ -162,7 +197,7 @@ def flatten_prim(
 
 
 def flatten_alone(prim: Usd.Prim, time: Usd.TimeCode | float | None, options: Options) -> FlatStage:
-    """[`flatten_prim`] without the domes."""
+    """[`flatten_prim_for_core`] without the domes."""
     flattening = Flattening(prim.GetStage(), time, options, prim)
     if prim.IsA(UsdShade.Material):
         images: dict[str, Prim] = {}
@@ -229,9 +264,7 @@ class Flattening:
         if previous is not None and previous.version == flat.version:
             emitter.known = previous.still
         flat.prims, flat.still = emitter.emit(placements), emitter.still
-        scene = Scene(self.stage, reader, flat.purposes, self.binding, self.root, placements, self.links)
-        scene.cameras = self.add_cameras()
-        self.sample_motion(scene)
+        self.sample_motion(placements, self.add_cameras())
         if self.settings_prim and self.root is None and any(map(is_fog, flat.prims.values())):
             warn_fog(self.settings_prim, reader)
         flat.warnings = reader.report.warnings
@@ -260,13 +293,19 @@ class Flattening:
         name = self.options.shutter_camera or self.options.camera or self.authored.get("camera", "")
         return (find_camera(self.stage, name) if name else None) or find_camera(self.stage)
 
-    def sample_motion(self, scene: Scene) -> None:
-        """Adds the keys of what moves while the shutter is open."""
+    def sample_motion(self, placements: dict[Frame, Placements], cameras: list[Usd.Prim]) -> None:
+        """Adds the keys of what moves while the shutter is open; `cameras` stand beside `placements`."""
         camera = self.shutter_camera()
         if camera is None:
             return
         self.flat.shutter = opens, closes = find_shutter(camera.GetPrim(), self.reader)
         if self.wants_motion() and closes > opens:
+            from .motion import Scene, Shutter, add_motion  # only where something may move
+
+            scene = Scene(
+                self.stage, self.reader, self.flat.purposes, self.binding, self.root, placements, self.links
+            )
+            scene.cameras = cameras
             add_motion(self.flat.prims, scene, Shutter(self.reader.time.GetValue(), opens, closes))
 
     def wants_motion(self) -> bool:
@@ -292,7 +331,7 @@ def is_camera(prims: dict[str, Prim], path: str) -> bool:
 def stage_info(stage: Usd.Stage, time: Usd.TimeCode, reader: Reader) -> dict[str, Any]:
     layer = stage.GetRootLayer()
     scale = UsdGeom.GetStageMetersPerUnit(stage)
-    if not (np.isfinite(scale) and scale > 0.0):
+    if not (math.isfinite(scale) and scale > 0.0):
         reader.warn("/", f"metersPerUnit: {scale} is not positive; 0.01 is used")
         scale = 0.01
     return {
@@ -330,24 +369,29 @@ def find_materialx() -> None:
         os.environ.setdefault("PXR_MTLX_STDLIB_SEARCH_PATHS", str(libraries))
 
 
-def encode(prim: Prim) -> tuple[str, list[np.ndarray]]:
+def encode(prim: Prim) -> tuple[str, list[Any]]:
     """JSON of a prim in which {"array": i} stands for the i-th of the arrays returned beside it. Images of materials
     are decoded here, so that their texels are in memory once, in the core.
 
     Raises ValueError where a number that is not finite would reach the JSON.
     """
-    arrays: list[np.ndarray] = []
+    arrays: list[Any] = []
     if prim["type"] == "Image" and "texels" not in prim:
+        from .images import load_image
+
         prim = load_image(prim)
 
     def default(value: Any) -> Any:
+        if isinstance(value, (Gf.Matrix4d, Gf.Vec2f, Gf.Vec3f, Gf.Vec4f)):
+            return [list(row) if isinstance(value, Gf.Matrix4d) else row for row in value]
+        if isinstance(value, memoryview):
+            arrays.append(value)
+            return {"array": len(arrays) - 1}
         if isinstance(value, np.ndarray):
             arrays.append(np.ascontiguousarray(value))
             return {"array": len(arrays) - 1}
         if isinstance(value, np.generic):
             return value.item()
-        if isinstance(value, (Gf.Matrix4d, Gf.Vec2f, Gf.Vec3f, Gf.Vec4f)):
-            return [list(row) if isinstance(value, Gf.Matrix4d) else row for row in value]
         raise TypeError(f"{type(value).__name__} cannot be part of a prim")
 
     return json.dumps(prim, default=default, allow_nan=False), arrays

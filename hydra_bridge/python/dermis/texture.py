@@ -1,18 +1,21 @@
 """Image files of lights, decoded by OpenImageIO to linear Rec.709 float32."""
 
+from __future__ import annotations
+
 import os
-import tempfile
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
 from pxr import Ar, Usd
 
+from .arrays import np
 from .colorspace import REC709 as REC709_NAME
 from .colorspace import transformed
 from .reading import Reader
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 RAW_SPACES = ("raw", "linear", "lin_rec709", "lin_rec709_scene", "Linear", "data")
 SRGB_SPACES = ("sRGB", "srgb", "srgb_rec709_scene", "srgb_texture")
@@ -74,6 +77,8 @@ def decode(path: str, space: str, _stamp: tuple[int, int]) -> tuple[int, int, ND
     """
     if not Ar.IsPackageRelativePath(path):
         return decode_file(path, space)
+    import tempfile
+
     with tempfile.NamedTemporaryFile(suffix=Path(Ar.SplitPackageRelativePathInner(path)[1]).suffix) as file:
         asset = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(path))
         if not asset:

@@ -1,14 +1,18 @@
 """UDIM: tiles that faces of a mesh are in, and that have no file."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
 from pxr import Usd
 
+from .arrays import np
 from .reading import Reader
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 Fields = dict[str, Any]
 
@@ -50,7 +54,8 @@ def tiled(material: Fields) -> Iterator[tuple[str, dict[int, str]]]:
 
 def tiles_of(mesh: Fields, st: Fields, faces: NDArray) -> set[int]:
     """Numbers of the tiles that the middles of faces are in: corners lie on the borders of tiles."""
-    counts, corners = mesh["faceVertexCounts"], mesh["faceVertexIndices"]
+    counts, corners = (np.asarray(mesh[name]) for name in ("faceVertexCounts", "faceVertexIndices"))
+    values = np.asarray(st["values"])
     if st["type"] != "float2" or not len(faces) or counts.min() < 1 or counts.sum() != len(corners):
         return set()
     index = {
@@ -59,10 +64,10 @@ def tiles_of(mesh: Fields, st: Fields, faces: NDArray) -> set[int]:
         "constant": lambda: np.zeros(len(corners), int),
     }.get(st["interpolation"], lambda: corners)()
     if "indices" in st:
-        index = st["indices"][index]
-    if index.min() < 0 or index.max() >= len(st["values"]):
+        index = np.asarray(st["indices"])[index]
+    if index.min() < 0 or index.max() >= len(values):
         return set()
-    sums = np.add.reduceat(st["values"][index].astype(np.float64), np.cumsum(counts) - counts)
+    sums = np.add.reduceat(values[index].astype(np.float64), np.cumsum(counts) - counts)
     middles = (sums / counts[:, None])[faces]
     u, v = np.floor(middles[np.isfinite(middles).all(axis=1)]).astype(int).T
     # Ten tiles to a row; what is beyond has no number.

@@ -9,9 +9,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import numpy as np
 from pxr import Gf, Kind, Usd, UsdGeom, UsdShade, Vt
 
+from .arrays import np
 from .bindings import bound_materials
 from .instancer import Placements, nested, place, point_instances
 from .light import LIGHT_TYPES, UNSUPPORTED_LIGHTS

@@ -1,7 +1,6 @@
 """usdrecord's looks into USD itself: `--traceToFile` and `--memstats`."""
 
 import argparse
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -45,6 +44,8 @@ def memory_report(name: str) -> str:
     """Writes the call tree of allocations to a file; says where, and the sum."""
     if not Tf.MallocTag.IsInitialized():
         return "Unable to accumulate memory usage since the Pxr MallocTag system was not initialized"
+    import tempfile
+
     with tempfile.NamedTemporaryFile(prefix=f"{name}.", suffix=".mallocTag", delete=False) as file:
         pass
     Tf.MallocTag.GetCallTree().Report(file.name)

@@ -2,7 +2,6 @@
 
 import json
 import os
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,8 +20,7 @@ def prepare_folder(file: str | Path) -> None:
     folder = Path(file).absolute().parent
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
+        _made(folder, "dermis", ".tmp").unlink()
     except OSError as error:
         raise OutputError(f"Cannot write to folder {folder}: {error.strerror or error}") from error
     if Path(file).is_dir():
@@ -33,14 +31,9 @@ def prepare_folder(file: str | Path) -> None:
 def replacing(file: str | Path) -> Iterator[Path]:
     """A temporary name beside `file`, with its ending; renamed to `file` at the end, removed on failure."""
     file = Path(file)
-    descriptor, name = tempfile.mkstemp(
-        prefix=f".{file.stem}.", suffix=file.suffix, dir=file.absolute().parent
-    )
-    os.close(descriptor)
-    temporary = Path(name)
+    temporary = _made(file.absolute().parent, file.stem, file.suffix)
     try:
         yield temporary
-        temporary.chmod(0o666 & ~_umask())  # mkstemp makes files for their owner alone
         os.replace(temporary, file)
     except BaseException:
         temporary.unlink(missing_ok=True)
@@ -63,7 +56,8 @@ def _finite(value: Any) -> Any:
     return value
 
 
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+def _made(folder: Path, stem: str, suffix: str) -> Path:
+    """An empty file of a new name. (`tempfile` takes longer to load than the image of a small stage to write.)"""
+    file = folder / f".{stem}.{os.urandom(8).hex()}{suffix}"
+    os.close(os.open(file, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+    return file

@@ -224,7 +224,7 @@ class Recorder:
     def finish(self, loaded: Any, began: float, complete: bool, file: str) -> dict[str, Any]:
         """The statistics of a frame, after the self-check of its image."""
         stats = json.loads(loaded.delegate.stats())
-        checks = warnings.self_check(loaded.delegate.snapshot()["color"], stats, file)
+        checks = warnings.self_check(*loaded.delegate.check(), stats, file)
         merged = warnings.merge(loaded.warnings, warnings.of_stats(stats), checks)
         self.printer.print(merged)
         self.say(*_adaptive(stats))

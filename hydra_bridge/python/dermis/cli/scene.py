@@ -152,7 +152,7 @@ class Stage:
         began = time.monotonic()
         delegate, previous = self._delegate or Delegate(), self._previous
         self._delegate = self._previous = None  # not kept if this frame fails half-way
-        flat = stage.flatten(self.stage, when, self._options(), previous)
+        flat = stage.flatten_for_core(self.stage, when, self._options(), previous)
         loaded = Loaded(delegate, "", 0.0, warnings=[*self.warnings])
         flat.settings = self._taken(flat.settings, loaded)
         authored = {**flat.settings}

@@ -1,7 +1,6 @@
 """Render settings from three places: typed flags win over the RenderSettings prim, which wins over defaults."""
 
 import argparse
-import difflib
 import json
 from collections.abc import Mapping
 from typing import Any
@@ -80,6 +79,8 @@ def parse_assignment(assignment: str, defaults: Mapping[str, Any]) -> tuple[str,
     """`NAME=VALUE` with the value as the type of the setting's default. Raises SettingsError."""
     name, _, text = assignment.partition("=")
     if name not in defaults:
+        import difflib
+
         close = difflib.get_close_matches(name, defaults, n=1)
         hint = f"; did you mean {close[0]}?" if close else "; --set alone lists the settings"
         raise SettingsError(f"--set {assignment}: there is no setting {name!r}{hint}")

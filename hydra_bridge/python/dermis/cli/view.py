@@ -5,8 +5,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
+from ..arrays import single
 from .settings import Settings, SettingsError
 
 DEFAULT_WIDTH = 960
@@ -44,7 +43,7 @@ def image_size(
     width = max(int(width), 1)
     if height is None:
         # usdrecord divides as float32 and truncates; double precision would differ by a row now and then.
-        height = int(np.float32(width) / np.float32(aspect))
+        height = int(single(single(width) / single(aspect)))
     height = max(int(height), 1)
     if max(width, height) > LARGEST_SIDE:
         raise SettingsError(f"An image of {width} x {height} pixels is too large; {LARGEST_SIDE} is the most")

@@ -4,9 +4,6 @@ import sys
 from collections.abc import Iterable
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 #: Shares of the walks that may be lost before it is said: leaks through a crack or two are common and
 #: invisible; the safety nets are meant never to be reached.
 LEAKED_SHARE, ENDED_SHARE = 1e-2, 1e-3
@@ -38,15 +35,15 @@ def of_stats(stats: dict[str, Any]) -> list[Warning]:
     return [(entry["prim"], entry["message"]) for entry in stats.get("warnings", [])]
 
 
-def self_check(color: NDArray[np.floating], stats: dict[str, Any], name: str = "image") -> list[Warning]:
+def self_check(is_finite: bool, is_lit: bool, stats: dict[str, Any], name: str = "image") -> list[Warning]:
     """What is suspicious about a finished image, a frame's file: exit code 0 with a wrong picture is the common
     failure."""
     found: list[Warning] = []
     if bad := int(stats.get("non_finite_samples", 0)):
         found.append((name, f"{bad} samples were not finite and were left out"))
-    if not np.isfinite(color).all():
+    if not is_finite:
         found.append((name, "the image has pixels that are not finite"))
-    if not np.any(color[..., :3] > 0.0):
+    if not is_lit:
         found.append((name, "the image is all black"))
     return found + walk_check(stats, name)
 
