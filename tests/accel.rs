@@ -240,12 +240,19 @@ fn objects_on_which_plain_ploc_crawls() {
     for (name, boxes) in sets {
         let tlas = Tlas::build(&boxes);
         let o = Vec3::new(500.25, 0.25, -1.0);
-        let mut seen = Vec::new();
-        tlas.traverse(&mut Ray::new(o, Vec3::Z, f32::INFINITY), |i, _| {
+        let mut ray = Ray::new(o, Vec3::Z, f32::INFINITY);
+        let (mut seen, mut seen_any) = (Vec::new(), Vec::new());
+        tlas.traverse_any(&ray, |i| {
+            seen_any.push(i);
+            false
+        });
+        tlas.traverse(&mut ray, |i, _| {
             seen.push(i);
             false
         });
         seen.sort_unstable();
+        seen_any.sort_unstable();
+        assert_eq!(seen, seen_any, "{name}");
         let over = |b: &Aabb| b.min.x <= o.x && o.x <= b.max.x && b.max.y >= o.y && b.max.z >= -1.0;
         let expected: Vec<u32> = (0..n as u32).filter(|&i| over(&boxes[i as usize])).collect();
         assert_eq!(seen, expected, "{name}");
@@ -286,6 +293,12 @@ fn overlapping_instances_agree_with_brute_force() {
         let all = (0..places.len()).filter_map(|i| Some((local(&blas, &places[i], &ray)?, i as u32)));
         let expected = all.min_by(|a, b| a.0.total_cmp(&b.0));
         assert_eq!(closest(&tlas, &blas, &places, &ray), expected, "{ray:?}");
+        let mut any = false;
+        tlas.traverse_any(&ray, |i| {
+            any = local(&blas, &places[i as usize], &ray).is_some();
+            any
+        });
+        assert_eq!(any, expected.is_some(), "{ray:?}");
         hits += usize::from(expected.is_some());
     }
     assert!(hits > 500);
@@ -300,6 +313,11 @@ fn traversal_stops_when_told() {
         visits == 3
     });
     assert_eq!(visits, 3);
+    Tlas::build(&boxes).traverse_any(&Ray::new(Vec3::splat(0.5), Vec3::X, 1.0), |_| {
+        visits += 1;
+        visits == 5
+    });
+    assert_eq!(visits, 5);
 }
 
 #[test]

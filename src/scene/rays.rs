@@ -119,15 +119,15 @@ impl<'a> Moment<'a> {
 
     fn occluded_of<const MOVES: bool>(&self, o: Vec3, d: Vec3, t_max: f32, origin: Origin) -> bool {
         let mut occluded = false;
-        self.tlas.traverse(&mut Ray { o, d, t_max }, |i, ray| {
+        self.tlas.traverse_any(&Ray { o, d, t_max }, |i| {
             let instance = &self.instances[i as usize];
             occluded = if MOVES {
                 let placed = instance.placed(self.time);
-                let local = instance.local_ray(&placed, o - placed.translation, d, ray.t_max);
+                let local = instance.local_ray(&placed, o - placed.translation, d, t_max);
                 instance.geometry.any(&local, skipped(origin, i), self.time)
             } else {
                 let placed = &instance.to_render;
-                let local = instance.local_ray(placed, o - placed.translation, d, ray.t_max);
+                let local = instance.local_ray(placed, o - placed.translation, d, t_max);
                 instance.geometry.any_still(&local, skipped(origin, i))
             };
             occluded

@@ -5,7 +5,7 @@ use super::aabb::Aabb;
 use super::build::binary_tree;
 use super::collapse::{collapse, node_bounds};
 use super::lanes::Lanes;
-use super::traverse::{Tree, Visitor};
+use super::traverse::{Order, Tree, Visitor};
 use super::triangle::Shear;
 
 /// Top-level acceleration structure.
@@ -36,6 +36,16 @@ impl Tlas {
         self.tree.walk(&start, Objects { ray, visit });
     }
 
+    /// As [`Tlas::traverse`] for a ray that stops at the first hit: in no order of distance, but about first where most of
+    /// the ray is inside.
+    pub fn traverse_any(&self, ray: &Ray, mut visit: impl FnMut(u32) -> bool) {
+        if let Some(only) = self.only {
+            visit(only);
+            return;
+        }
+        self.tree.walk(ray, AnyObject { t_max: ray.t_max, visit });
+    }
+
     /// Empty without boxes.
     pub fn bounds(&self) -> Aabb {
         self.tree.bounds
@@ -61,5 +71,24 @@ impl<F: FnMut(u32, &mut Ray) -> bool> Visitor for Objects<'_, F> {
     #[inline(always)]
     fn leaf<L: Lanes>(&mut self, object: u32, _: &Shear) -> bool {
         (self.visit)(object, self.ray)
+    }
+}
+
+struct AnyObject<F> {
+    t_max: f32,
+    visit: F,
+}
+
+impl<F: FnMut(u32) -> bool> Visitor for AnyObject<F> {
+    const ORDER: Order = Order::Longest;
+
+    #[inline(always)]
+    fn t_max(&self) -> f32 {
+        self.t_max
+    }
+
+    #[inline(always)]
+    fn leaf<L: Lanes>(&mut self, object: u32, _: &Shear) -> bool {
+        (self.visit)(object)
     }
 }

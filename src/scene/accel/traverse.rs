@@ -1,4 +1,4 @@
-//! The walk through a tree of eight-wide nodes, nearest child first.
+//! The walk through a tree of eight-wide nodes: nearest child first, or first that in which most of the ray is.
 
 use super::Ray;
 use super::aabb::Aabb;
@@ -17,24 +17,38 @@ pub(super) struct Tree {
     pub isa: Isa,
 }
 
+/// Which of the children that a ray meets a walk goes to first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Order {
+    /// A hit there spares what is behind it.
+    Nearest,
+    /// The longest way inside: any hit will do, and boxes of objects are the fuller the longer it is.
+    Longest,
+}
+
 /// What a walk does at the leaves. Implementations are `#[inline(always)]`: they run inside the function that
 /// may use the wide instructions.
 pub(super) trait Visitor {
+    const ORDER: Order = Order::Nearest;
+
     /// End of the interval still of interest.
     fn t_max(&self) -> f32;
     /// True ends the walk.
     fn leaf<L: Lanes>(&mut self, leaf: u32, shear: &Shear) -> bool;
 }
 
-/// A child and where the ray enters its box, ordered by that: distances from 0 on order as their bits do, and whole
+/// A tree of more nodes than these, 256 KB, does not stay in the second cache beside its leaves and what else is used.
+const LARGE: usize = 1 << 10;
+
+/// A child and a distance, most often where the ray enters its box, ordered by that: distances from 0 on order as their bits do, and whole
 /// numbers have a smaller and a larger one without a branch, which nobody could predict here.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 struct Entry(u64);
 
 impl Entry {
     #[inline(always)]
-    fn new(child: u32, near: f32) -> Self {
-        Self(u64::from(near.to_bits()) << 32 | u64::from(child))
+    fn new(child: u32, distance: f32) -> Self {
+        Self(u64::from(distance.to_bits()) << 32 | u64::from(child))
     }
 
     #[inline(always)]
@@ -43,27 +57,40 @@ impl Entry {
     }
 
     #[inline(always)]
-    fn near(self) -> f32 {
+    fn distance(self) -> f32 {
         f32::from_bits((self.0 >> 32) as u32)
     }
 }
 
-/// Children that wait, the nearest of each node on top.
-struct Stack<'a> {
+/// Children that wait; where they are in order, the nearest of each node on top. `ASKS` for them as they come.
+struct Stack<'a, const ASKS: bool> {
+    nodes: &'a [Node],
     entries: &'a mut [MaybeUninit<Entry>],
     top: usize,
 }
 
-impl Stack<'_> {
+impl<const ASKS: bool> Stack<'_, ASKS> {
     #[inline(always)]
     fn push(&mut self, entry: Entry) {
+        self.ask(entry);
         self.entries[self.top] = MaybeUninit::new(entry);
         self.top += 1;
+    }
+
+    /// While the walk goes on elsewhere.
+    #[inline(always)]
+    fn ask(&self, entry: Entry) {
+        let child = entry.child();
+        if ASKS && child & LEAF == 0 {
+            // SAFETY: as in `walk_stack`.
+            unsafe { self.nodes.get_unchecked(child as usize) }.prefetch();
+        }
     }
 
     /// Pushes into the descending run that begins at `first`.
     #[inline(always)]
     fn insert(&mut self, first: usize, entry: Entry) {
+        self.ask(entry);
         let mut at = self.top;
         // SAFETY: every entry below `top` was written.
         while at > first && unsafe { self.entries[at - 1].assume_init() } < entry {
@@ -74,18 +101,26 @@ impl Stack<'_> {
         self.top += 1;
     }
 
-    /// The next child that is entered before `t`.
+    /// The next child whose distance is not beyond `t`.
     #[inline(always)]
     fn pop(&mut self, t: f32) -> Option<u32> {
         while self.top > 0 {
             self.top -= 1;
             // SAFETY: every entry below `top` was written.
             let entry = unsafe { self.entries[self.top].assume_init() };
-            if entry.near() <= t {
+            if entry.distance() <= t {
                 return Some(entry.child());
             }
         }
         None
+    }
+
+    /// The next child.
+    #[inline(always)]
+    fn pop_any(&mut self) -> Option<u32> {
+        self.top = self.top.checked_sub(1)?;
+        // SAFETY: every entry below `top` was written.
+        Some(unsafe { self.entries[self.top].assume_init() }.child())
     }
 }
 
@@ -135,33 +170,47 @@ impl Tree {
     /// Ordinary trees find room on the machine's stack; one degenerate enough to need more pays for the heap.
     #[inline(always)]
     fn walk_lanes<L: Lanes, V: Visitor>(&self, ray: &Ray, visitor: V) -> V {
-        if self.stack <= 128 {
-            self.walk_stack::<L, V>(ray, &mut [const { MaybeUninit::uninit() }; 128], visitor)
+        if self.stack > 128 {
+            self.walk_stack::<L, V, true>(ray, &mut vec![MaybeUninit::uninit(); self.stack], visitor)
+        } else if self.nodes.len() > LARGE {
+            self.walk_stack::<L, V, true>(ray, &mut [const { MaybeUninit::uninit() }; 128], visitor)
         } else {
-            self.walk_stack::<L, V>(ray, &mut vec![MaybeUninit::uninit(); self.stack], visitor)
+            self.walk_stack::<L, V, false>(ray, &mut [const { MaybeUninit::uninit() }; 128], visitor)
         }
     }
 
-    /// Goes on to the nearest child at once; only the others wait on the stack.
+    /// Goes on to the first child at once; only the others wait on the stack.
     #[inline(always)]
-    fn walk_stack<L: Lanes, V: Visitor>(&self, ray: &Ray, entries: &mut [MaybeUninit<Entry>], mut visitor: V) -> V {
+    fn walk_stack<L: Lanes, V: Visitor, const ASKS: bool>(
+        &self,
+        ray: &Ray,
+        entries: &mut [MaybeUninit<Entry>],
+        mut visitor: V,
+    ) -> V {
         let boxes = BoxRay::<L>::new(ray);
         let mut shear = None; // many a short segment meets no leaf
-        let mut stack = Stack { entries, top: 0 };
+        let mut stack = Stack::<ASKS> { nodes: &self.nodes, entries, top: 0 };
         let mut child = 0; // the root
         loop {
             if child & LEAF == 0 {
                 // SAFETY: `collapse` makes every reference, to nodes that are there.
                 let node = unsafe { self.nodes.get_unchecked(child as usize) };
-                let (hits, near) = boxes.test(node, visitor.t_max());
+                let (hits, near, far) = boxes.test(node, visitor.t_max());
                 if hits != 0 {
-                    child = nearest(node, &near, hits, &mut stack);
+                    child = match V::ORDER {
+                        Order::Nearest => nearest(node, &near.store(), hits, &mut stack),
+                        Order::Longest => longest(node, &far.sub(near).store(), hits, &mut stack),
+                    };
                     continue;
                 }
             } else if visitor.leaf::<L>(child & !LEAF, made(&mut shear, ray)) {
                 return visitor;
             }
-            match stack.pop(visitor.t_max() * WIDEN) {
+            let next = match V::ORDER {
+                Order::Nearest => stack.pop(visitor.t_max() * WIDEN),
+                Order::Longest => stack.pop_any(),
+            };
+            match next {
                 Some(next) => child = next,
                 None => return visitor,
             }
@@ -171,7 +220,7 @@ impl Tree {
 
 /// The nearest of the children in `hits`, at least one; the others go onto the stack. Most often they are one to three.
 #[inline(always)]
-fn nearest(node: &Node, near: &[f32; 8], mut hits: u32, stack: &mut Stack) -> u32 {
+fn nearest<const ASKS: bool>(node: &Node, near: &[f32; 8], mut hits: u32, stack: &mut Stack<ASKS>) -> u32 {
     let a = take(node, near, &mut hits);
     if hits == 0 {
         return a.child();
@@ -196,12 +245,24 @@ fn nearest(node: &Node, near: &[f32; 8], mut hits: u32, stack: &mut Stack) -> u3
     a.child()
 }
 
+/// The child with the longest way inside; the others go onto the stack as they come.
+#[inline(always)]
+fn longest<const ASKS: bool>(node: &Node, inside: &[f32; 8], mut hits: u32, stack: &mut Stack<ASKS>) -> u32 {
+    let mut a = take(node, inside, &mut hits);
+    while hits != 0 {
+        let b = take(node, inside, &mut hits);
+        stack.push(a.min(b));
+        a = a.max(b);
+    }
+    a.child()
+}
+
 /// The child in the lowest lane of `hits`, which loses it.
 #[inline(always)]
-fn take(node: &Node, near: &[f32; 8], hits: &mut u32) -> Entry {
+fn take(node: &Node, distance: &[f32; 8], hits: &mut u32) -> Entry {
     let lane = hits.trailing_zeros() as usize & 7;
     *hits &= *hits - 1;
-    Entry::new(node.child[lane], near[lane])
+    Entry::new(node.child[lane], distance[lane])
 }
 
 /// A method of `Option` would take a closure, which need not be inlined (see `lanes`).
