@@ -64,7 +64,8 @@ unsafe extern "C" fn monitor(_: *mut c_void, bytes: isize, _: bool) -> bool {
 }
 
 pub struct Embree {
-    library: Library,
+    /// Never unloaded: its threads end when they like.
+    library: &'static Library,
     device: Handle,
     intersect: Query<RtcRayHit>,
     occluded: Query<RtcRay>,
@@ -87,13 +88,13 @@ impl Embree {
         // SAFETY: the library's initialisers are Embree's and TBB's, which expect to be loaded like this; the
         // signatures are those of embree4/rtcore_device.h and rtcore_scene.h.
         unsafe {
-            let library = Library::new(path).map_err(|e| e.to_string())?;
-            let new_device: unsafe extern "C" fn(*const c_char) -> Handle = symbol(&library, "rtcNewDevice")?;
+            let library = &*Box::leak(Box::new(Library::new(path).map_err(|e| e.to_string())?));
+            let new_device: unsafe extern "C" fn(*const c_char) -> Handle = symbol(library, "rtcNewDevice")?;
             let device = new_device(c"threads=1".as_ptr());
             if device.is_null() {
                 return Err("rtcNewDevice failed".into());
             }
-            let (intersect, occluded) = (symbol(&library, "rtcIntersect1")?, symbol(&library, "rtcOccluded1")?);
+            let (intersect, occluded) = (symbol(library, "rtcIntersect1")?, symbol(library, "rtcOccluded1")?);
             let embree = Self { library, device, intersect, occluded };
             let watch: unsafe extern "C" fn(
                 Handle,
@@ -118,7 +119,7 @@ impl Embree {
     /// `T` must be the type of the function.
     unsafe fn symbol<T: Copy>(&self, name: &str) -> T {
         // SAFETY: the caller's.
-        unsafe { symbol(&self.library, name) }.unwrap_or_else(|e| panic!("{e}"))
+        unsafe { symbol(self.library, name) }.unwrap_or_else(|e| panic!("{e}"))
     }
 
     pub fn triangles(&self, mode: Mode, points: &[Vec3], triangles: &[[u32; 3]]) -> EmbreeScene<'_> {
