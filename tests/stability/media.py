@@ -1,5 +1,6 @@
 """Media: albedo, mean free path, ratios of channels, index, anisotropy, thickness, limits of kappa."""
 
+import functools
 import math
 from collections.abc import Iterable, Iterator
 from typing import Any
@@ -104,7 +105,10 @@ def channels() -> Iterator[Case]:
 
     for walk in WALKS:
         yield Case(f"RGB albedo, {walk}", lambda walk=walk: albedo_rgb(walk), quick=walk == "auto")
-    yield Case("RGB ratio 1:100", lambda: ratio("auto", (1.0, 0.1, 0.01), (0.01, 0.1, 1.0)), quick=True)
+    # As thin as this, `auto` does not guide.
+    for walk in ("auto", "mixture"):
+        at = walk, (1.0, 0.1, 0.01), (0.01, 0.1, 1.0)
+        yield Case(f"RGB ratio 1:100, {walk}", functools.partial(ratio, *at), quick=walk == "mixture")
     yield Case("RGB ratio 1:1000", lambda: ratio("auto", (1.0, 0.01, 0.001), (0.01, 1.0, 10.0)))
     yield Case("RGB ratio 1000:1", lambda: ratio("auto", (0.001, 1.0, 0.1), (10.0, 0.01, 0.1)))
 
@@ -234,8 +238,11 @@ def slabs() -> Iterator[Case]:
         for albedo in (0.9, 1.0) if tau < 0.1 else (0.5, 0.9, 0.99, 1.0):
             for behind in (False, True):
 
-                def rows(tau: float = tau, albedo: float = albedo, behind: bool = behind) -> Iterator[Row]:
-                    picture, expected = lit_plate(albedo, tau, behind, samples=16 if albedo == 1.0 else 64)
+                def rows(
+                    tau: float = tau, albedo: float = albedo, behind: bool = behind, walk: str = "auto"
+                ) -> Iterator[Row]:
+                    samples = 16 if albedo == 1.0 else 64
+                    picture, expected = lit_plate(albedo, tau, behind, samples=samples, walk=walk)
                     side = "transmitted" if behind else "reflected"
                     stressed = f"slab of optical thickness {tau:g}, albedo {albedo:g}, {side}"
                     # One walk in a thousand is reflected by the thinnest, as many come through the thickest.
@@ -254,6 +261,10 @@ def slabs() -> Iterator[Case]:
                 # What comes through the thickest white slab is left to the walks themselves, `thick_slabs`.
                 if (tau, albedo, behind) != (1000.0, 1.0, True):
                     yield Case(f"slab {tau:g}, {albedo:g}, {side}", rows, quick=quick)
+                # `auto` does not guide where it is thin. Of walks into thinner ones, few in a thousand are reflected.
+                if tau in (0.1, 1.0):
+                    guided = functools.partial(rows, walk="mixture")
+                    yield Case(f"slab {tau:g}, {albedo:g}, {side}, mixture", guided, quick=quick)
 
 
 def kappas() -> Iterator[Case]:
