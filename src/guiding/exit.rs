@@ -140,3 +140,89 @@ impl Exits {
         self.cells.memory() + self.learned.len() * slots + sums
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::{Frame, TAU};
+    use crate::sampling::sampler::Sampler;
+    use crate::sampling::{cosine_hemisphere, uniform_sphere};
+
+    /// Learned in light that comes from beside a surface of normal `n`, in part from below its horizon.
+    fn learned(n: Vec3) -> Exit {
+        let (mut sums, mut sampler) = (DirectionSums::default(), Sampler::new(1, 2, 3));
+        let beside = n.any_orthonormal_vector();
+        for _ in 0..50_000 {
+            let w = uniform_sphere(Vec2::new(sampler.random(), sampler.random()));
+            let light = (w.dot(beside) - 0.5).max(0.0);
+            sums.add(w, 1.0 / (2.0 * TAU), Rgb::splat(light));
+        }
+        Exit::fit(None, &sums).expect("light")
+    }
+
+    const BANDS: usize = 16;
+    const SECTORS: usize = 32;
+
+    /// Of equal area, several to each of those that densities are learned in.
+    fn bin_of(w: Vec3) -> usize {
+        let band = ((w.z + 1.0) * 0.5 * BANDS as f32) as usize;
+        let sector = ((w.y.atan2(w.x) / TAU + 0.5) * SECTORS as f32) as usize;
+        band.min(BANDS - 1) * SECTORS + sector.min(SECTORS - 1)
+    }
+
+    /// Probabilities of the bins by the midpoint rule.
+    fn probabilities(pdf: impl Fn(Vec3) -> f32) -> Vec<f64> {
+        const FINE: usize = 24;
+        let area = 2.0 * std::f64::consts::TAU / (BANDS * SECTORS * FINE * FINE) as f64;
+        let mut sums = vec![0.0; BANDS * SECTORS];
+        for i in 0..BANDS * FINE {
+            let z = (i as f32 + 0.5) * 2.0 / (BANDS * FINE) as f32 - 1.0;
+            for j in 0..SECTORS * FINE {
+                let (sin, cos) = (((j as f32 + 0.5) / (SECTORS * FINE) as f32 - 0.5) * TAU).sin_cos();
+                let r = (1.0 - z * z).sqrt();
+                sums[i / FINE * SECTORS + j / FINE] += area * f64::from(pdf(Vec3::new(r * cos, r * sin, z)));
+            }
+        }
+        sums
+    }
+
+    /// Chi-square as z (Wilson and Hilferty 1931) over bins where something is expected.
+    fn chi_square(counts: &[f64], probabilities: &[f64]) -> f64 {
+        let n: f64 = counts.iter().sum();
+        let cells = counts.iter().zip(probabilities).map(|(count, p)| (count, p * n)).filter(|(_, e)| *e > 5.0);
+        let chi2: f64 = cells.clone().map(|(count, e)| (count - e) * (count - e) / e).sum();
+        let (freedom, spread) = (cells.clone().count() as f64, 2.0 / (9.0 * cells.count() as f64));
+        ((chi2 / freedom).cbrt() - (1.0 - spread)) / spread.sqrt()
+    }
+
+    /// What is drawn, learned or by the cosine, has the density of the mixture.
+    #[test]
+    fn exits_follow_the_pdf_of_the_mixture() {
+        const COUNT: u32 = 400_000;
+        for n in [Vec3::Z, Vec3::new(0.48, -0.6, 0.64)] {
+            let (exit, frame, mut sampler) = (learned(n), Frame::from_normal(n), Sampler::new(4, 5, 6));
+            assert!(exit.guided > 0.45, "{}", exit.guided);
+            let (mut counts, mut choices) = (vec![0.0; BANDS * SECTORS], vec![0.0; 32]);
+            for _ in 0..COUNT {
+                let (u_choice, u) = (sampler.random(), Vec2::new(sampler.random(), sampler.random()));
+                let w = exit.sample(u_choice, u).unwrap_or_else(|left| {
+                    choices[(left * 32.0) as usize] += 1.0;
+                    frame.to_world(cosine_hemisphere(u))
+                });
+                counts[bin_of(w)] += 1.0;
+            }
+            let plain = |w: Vec3| cosine_hemisphere_pdf(w.dot(n));
+            let right = probabilities(|w| exit.pdf(plain(w), w));
+            assert!((right.iter().sum::<f64>() - 1.0).abs() < 1e-3, "{}", right.iter().sum::<f64>());
+            let z = chi_square(&counts, &right);
+            assert!(z < 4.5, "{n}: z {z}");
+            // Of plain sampling, what is left of the choice is as good as new.
+            let z = chi_square(&choices, &[1.0 / 32.0; 32]);
+            assert!(z < 4.5, "{n}: choices, z {z}");
+            // A share that is off by 4 % does not pass.
+            let off = Exit { guided: 0.96 * exit.guided, ..exit };
+            let z = chi_square(&counts, &probabilities(|w| off.pdf(plain(w), w)));
+            assert!(z > 4.5, "{n}: wrong share, z {z}");
+        }
+    }
+}

@@ -101,3 +101,77 @@ fn lanes(c: Rgb) -> Lanes {
 fn fading(x: f32) -> f32 {
     exp_in_lanes(-x.min(87.0))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn medium(scale: f32, g: f32) -> Medium {
+        Medium { sigma_t: Rgb::new(2.0, 5.0, 20.0) / scale, albedo: Rgb::new(0.99, 0.9, 0.4), g }
+    }
+
+    fn cell(point: Vec3, normal: Vec3, scale: f32) -> Cell {
+        let irradiance = Rgb::new(3.0, 2.0, 1.0);
+        Cell { point: point * scale, normal, area: 0.04 * scale * scale, irradiance, lit: true }
+    }
+
+    /// Powers of two round nothing: flux per area is the same number in any unit of length.
+    #[test]
+    fn weights_do_not_know_the_unit_of_length() {
+        let places = [(0.02, Vec3::Z), (0.3, Vec3::X), (1.0, Vec3::NEG_Z), (2.0, Vec3::NEG_Y)];
+        let fluxes = |scale: f32, g: f32| {
+            let profile = Profile::new(&medium(scale, g));
+            let far = places.map(|(at, normal)| {
+                profile.of_cell(Vec3::ZERO, Vec3::Z, &cell(Vec3::new(at, 0.5 * at, 0.0), normal, scale))
+            });
+            (far, profile.of_own(&cell(Vec3::ZERO, Vec3::Z, scale)))
+        };
+        for g in [0.0, 0.8] {
+            let (far, own) = fluxes(1.0, g);
+            assert!(far[0].min_element() > far[1].min_element() && far[3].min_element() > 0.0, "{far:?}");
+            for scale in [1024.0, 1.0 / 1024.0] {
+                assert_eq!(fluxes(scale, g), (far, own), "scale {scale}");
+            }
+        }
+    }
+
+    /// Light that nothing scattered passes between patches that face more than 45 degrees apart (guiding.md 2.3).
+    #[test]
+    fn unscattered_light_passes_between_patches_that_face_apart() {
+        let medium = medium(1.0, 0.0);
+        let profile = Profile::new(&medium);
+        let facing = |degrees: f32| {
+            let (sin, cos) = degrees.to_radians().sin_cos();
+            profile.of_cell(Vec3::ZERO, Vec3::Z, &cell(Vec3::new(0.0, 0.0, 0.5), Vec3::new(sin, 0.0, cos), 1.0))
+        };
+        for degrees in [10.0, 30.0, 44.0] {
+            assert_eq!(facing(degrees), facing(0.0), "{degrees}");
+        }
+        let through = facing(180.0) - facing(0.0);
+        for degrees in [46.0, 90.0, 135.0] {
+            assert_eq!(facing(degrees), facing(180.0), "{degrees}");
+        }
+        // sigma_t^2 e^{-sigma_t r} of what enters.
+        let expected = |c: usize| {
+            let [sigma, e] = [medium.sigma_t[c], cell(Vec3::ZERO, Vec3::Z, 1.0).irradiance[c]].map(f64::from);
+            sigma * sigma * (-sigma * 0.5).exp() * e * 0.04
+        };
+        for c in 0..3 {
+            let ratio = f64::from(through[c]) / expected(c);
+            assert!((ratio - 1.0).abs() < 1e-4, "channel {c}: {ratio}");
+        }
+    }
+
+    /// More comes out near than far, of any channel; of the own cell no more than a half-space returns.
+    #[test]
+    fn weights_fall_with_distance() {
+        let profile = Profile::new(&medium(1.0, 0.0));
+        let at = |x: f32| profile.of_cell(Vec3::ZERO, Vec3::Z, &cell(Vec3::new(x, 0.0, 0.0), Vec3::Z, 1.0));
+        let fluxes: Vec<Rgb> = (1..40).map(|i| at(0.1 * i as f32)).collect();
+        assert!(fluxes.windows(2).all(|pair| pair[0].cmpgt(pair[1]).all()), "{fluxes:?}");
+        let returned = profile.of_own(&cell(Vec3::ZERO, Vec3::Z, 1.0)) / cell(Vec3::ZERO, Vec3::Z, 1.0).irradiance;
+        for c in 0..3 {
+            assert!(0.0 < returned[c] && returned[c] < profile.albedo[c], "channel {c}: {returned}");
+        }
+    }
+}
