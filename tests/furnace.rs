@@ -3,8 +3,9 @@
 mod support;
 
 use dermis::delegate::DirtyBits;
-use dermis::flat::{Material, OpenPbrSurface, PreviewSurface, Prim};
+use dermis::flat::{Material, OpenPbrSurface, PreviewSurface, Prim, RenderSettings};
 use glam::DVec3;
+use support::slab::judge;
 use support::{camera, channel, furnace, mean_and_error, plane, render, scene, settings, sphere};
 
 fn white(boundary: &str, roughness: f32, g: f32, radius: [f32; 3]) -> Material {
@@ -46,6 +47,36 @@ fn white_bodies_vanish() {
             }
         }
     }
+}
+
+/// Whatever a walk follows and however it is weighted.
+#[test]
+fn white_bodies_vanish_in_every_walk() {
+    let (eye, mut numbers) = (|| camera(DVec3::new(0.0, 0.0, 8.0), 7.0), Vec::new());
+    for boundary in ["diffuse", "dielectric"] {
+        let material = white(boundary, 0.0, 0.0, [0.4, 0.5, 0.6]);
+        let mut delegate = scene(sphere(24, 1.0), material, vec![furnace()], eye());
+        for walk in ["poe", "cp", "ii", "bono", "bill", "mixture"] {
+            for pdf in ["conditional", "exact"] {
+                if (walk, pdf) == ("ii", "exact") {
+                    continue; // its normals are not known beforehand
+                }
+                let seed = numbers.len() as u32;
+                let asked = RenderSettings { walk: walk.into(), walk_pdf: pdf.into(), seed, ..settings(16, 64) };
+                let planes = render(&mut delegate, asked);
+                let stats = delegate.stats();
+                assert_eq!((&stats["non_finite_samples"], &stats["walks_too_long"]), (&0.into(), &0.into()));
+                assert_eq!(stats["guide"]["media"][0]["walk"], walk);
+                for c in 0..3 {
+                    let (mean, error) = mean_and_error(&channel(plane(&planes, "color"), c));
+                    eprintln!("{boundary} {walk} {pdf} channel {c}: {mean:.5} +- {error:.5}");
+                    assert!(error < 0.02, "{boundary} {walk} {pdf} {c}: {mean} +- {error}");
+                    numbers.push((format!("{boundary} {walk} {pdf} {c}: {mean} +- {error}"), (mean - 1.0) / error));
+                }
+            }
+        }
+    }
+    judge("furnace", numbers);
 }
 
 /// Clear glass in clear glass, off centre: every path leaves what it entered, whatever order.
