@@ -13,6 +13,7 @@ use dermis::subsurface::walk::{Along, walk};
 use glam::{DVec3, Vec2, Vec3};
 use rayon::prelude::*;
 use std::cell::RefCell;
+use support::chi_square;
 use support::in_f64::{Eigenfunction, Product, complement};
 use support::slab::{Beam, Estimate, Row, Slab, failures, judge, stability_rows};
 use support::ways::{Way, mixture, pass};
@@ -387,9 +388,9 @@ fn deliberate_mistakes_are_caught() {
     }
 }
 
-/// Chi-square of directions drawn by `sample` against `pdf`, both about z, over bins of the cosine: a z-score by Wilson
-/// and Hilferty 1931, and how far the pdf is from integrating to 1.
-fn chi_square(sample: impl Fn(&mut Sampler) -> Vec3, pdf: impl Fn(Vec3) -> f32) -> [f64; 2] {
+/// Chi-square of directions drawn by `sample` against `pdf`, both about z, over bins of the cosine: a z-score, and how far
+/// the pdf is from integrating to 1.
+fn chi_square_and_integral(sample: impl Fn(&mut Sampler) -> Vec3, pdf: impl Fn(Vec3) -> f32) -> [f64; 2] {
     const BINS: usize = 40;
     const STEPS: usize = 2000;
     const COUNT: u32 = 400_000;
@@ -405,11 +406,7 @@ fn chi_square(sample: impl Fn(&mut Sampler) -> Vec3, pdf: impl Fn(Vec3) -> f32) 
         let bin = (0.5 * (sample(&mut sampler).z + 1.0) * BINS as f32) as usize;
         counts[bin.min(BINS - 1)] += 1.0;
     }
-    let expected = shares.iter().map(|share| share * f64::from(COUNT));
-    let chi2: f64 = counts.iter().zip(expected).map(|(count, e)| (count - e).powi(2) / e).sum();
-    let freedom = (BINS - 1) as f64;
-    let spread = 2.0 / (9.0 * freedom);
-    let z = ((chi2 / freedom).cbrt() - (1.0 - spread)) / spread.sqrt();
+    let z = chi_square::z(&counts, &shares);
     [z, (shares.iter().sum::<f64>() - 1.0).abs()]
 }
 
@@ -419,9 +416,9 @@ fn chi_square_catches_a_wrong_pdf() {
     let passes = |[z, integral]: [f64; 2]| z < 4.5 && integral < 1e-3;
     for g in [-0.9_f32, 0.5, 0.8] {
         let sample = |s: &mut Sampler| phase_sample(g, Vec3::Z, Vec2::new(s.random(), s.random()));
-        let right = chi_square(sample, |w| phase_eval(g, w.z));
-        let scaled = chi_square(sample, |w| 1.02 * phase_eval(g, w.z));
-        let bent = chi_square(sample, |w| phase_eval(1.02 * g, w.z));
+        let right = chi_square_and_integral(sample, |w| phase_eval(g, w.z));
+        let scaled = chi_square_and_integral(sample, |w| 1.02 * phase_eval(g, w.z));
+        let bent = chi_square_and_integral(sample, |w| phase_eval(1.02 * g, w.z));
         assert!(passes(right), "g {g}: {right:?}");
         assert!(!passes(scaled) && scaled[0] > 4.5, "g {g}, pdf x 1.02: {scaled:?}");
         assert!(!passes(bent), "g {g}, g x 1.02: {bent:?}");

@@ -1,6 +1,8 @@
 //! Small scenes built in code, and statistics over images, for the integration tests.
 #![allow(dead_code)] // each test binary uses its own part
 
+pub mod chi_square;
+pub mod difference;
 pub mod in_f64;
 pub mod slab;
 pub mod ways;
