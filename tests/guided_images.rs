@@ -4,6 +4,7 @@ mod support;
 
 use dermis::flat::{Light, LightShape, Material, Mesh, PreviewSurface, RenderSettings};
 use glam::{DVec3, Vec3};
+use support::difference::Difference;
 use support::slab::judge;
 use support::{camera, cuboid, plane, render, scene, settings, sphere};
 
@@ -190,35 +191,6 @@ fn tame(scene: &Scene, settings: &RenderSettings) -> bool {
     !scene.thick || (settings.walk_pdf == "exact" && settings.walk != "bono" && settings.walk != "bill")
 }
 
-/// Differences of two images, per pixel and channel.
-struct Difference(Vec<[f64; 3]>);
-
-impl Difference {
-    fn new(a: &[f32], b: &[f32]) -> Self {
-        let pixel = |(a, b): (&[f32], &[f32])| [0, 1, 2].map(|c| f64::from(a[c]) - f64::from(b[c]));
-        Self(a.chunks(4).zip(b.chunks(4)).map(pixel).collect())
-    }
-
-    /// Sum over root of the squares: pixels are independent, and the expectation of each is zero.
-    fn z(&self, wanted: impl Fn(usize, usize) -> bool, of: impl Fn(&[f64; 3]) -> f64) -> f64 {
-        let pixels = self.0.iter().enumerate();
-        let x = pixels.filter(|(i, _)| wanted(i % SIZE as usize, i / SIZE as usize)).map(|(_, d)| of(d));
-        let (sum, squares) = x.fold((0.0, 0.0), |(sum, squares), x| (sum + x, squares + x * x));
-        sum / squares.max(f64::MIN_POSITIVE).sqrt()
-    }
-
-    /// Of the quarters of the image and of all of it, channel by channel.
-    fn tests(&self, label: &str) -> Vec<(String, f64)> {
-        let half = SIZE as usize / 2;
-        let quarter = |q: usize, c: usize| {
-            (format!("{label}, quarter {q} channel {c}"), self.z(|x, y| x / half + 2 * (y / half) == q, |d| d[c]))
-        };
-        let quarters = (0..4).flat_map(|q| (0..3).map(move |c| quarter(q, c)));
-        let whole = (0..3).map(|c| (format!("{label}, channel {c}"), self.z(|_, _| true, |d| d[c])));
-        quarters.chain(whole).collect()
-    }
-}
-
 #[test]
 fn every_guide_renders_the_classical_image() {
     let (variants, mut tests) = (variants(), Vec::new());
@@ -231,7 +203,7 @@ fn every_guide_renders_the_classical_image() {
             let planes = render(&mut delegate, RenderSettings { seed: i as u32, ..settings.clone() });
             let stats = delegate.stats();
             assert_eq!((&stats["non_finite_samples"], &stats["walks_too_long"]), (&0.into(), &0.into()));
-            let difference = Difference::new(plane(&planes, "color"), &reference);
+            let difference = Difference::of(plane(&planes, "color"), &reference);
             tests.extend(difference.tests(&format!("{}, {name}", scene.name)));
             pooled[i].0 += difference.z(|_, _| true, |d| d[0] + d[1] + d[2]);
             pooled[i].1 += 1.0;
