@@ -233,6 +233,47 @@ def test_explain_says_what_is_off(wax, capsys, flags, line, off):
     assert named >= off
 
 
+@pytest.mark.parametrize(
+    ("change", "flags", "why"),
+    [
+        (
+            ("def DistantLight", "over DistantLight"),
+            ("--disableCameraLight",),
+            "nothing emits light, so there is no light to walk to",
+        ),
+        (
+            ("inputs:intensity = 3", "inputs:intensity = 0"),
+            (),
+            "nothing emits light, so there is no light to walk to",
+        ),
+        (
+            ("subsurfaceColor = (0.8, 0.8, 0.8)", "subsurfaceColor = (0, 0, 0)"),
+            (),
+            "it only absorbs, so there is nothing to guide",
+        ),
+        # Glass, so to say: 10 mean free paths do not pay behind it.
+        (
+            ("float inputs:ior = 1\n", 'token inputs:subsurfaceBoundary = "dielectric"\n'),
+            (),
+            "10 mean free paths across behind a dielectric: walks are too short for guiding to pay",
+        ),
+    ],
+)
+def test_explain_says_why_a_medium_is_not_guided(wax, tmp_path, capsys, change, flags, why):
+    """The thick cubes, which else are; and the record says the same."""
+    text = Path(wax).read_text()
+    assert change[0] in text
+    stage = tmp_path / "changed.usda"
+    stage.write_text(text.replace(*change))
+    said = explained(str(stage), capsys, *flags)
+    assert f"  /World/Left: classical: {why}" in said
+    assert "walks in 2 media" not in said
+    guide = stats_of(str(stage), tmp_path, "--samples", "1", *flags)
+    of_cube = {medium["prim"]: medium for medium in guide["media"]}["/World/Left"]
+    assert of_cube["walk"] == "classical" and of_cube["why"].startswith(why)
+    assert guide["records"] == guide["regions"] == 0
+
+
 def stats_of(stage: str, folder: Path, *flags: str) -> dict:
     assert run("record", stage, folder / "a.exr", "--stats", folder / "s.json", *flags) == 0
     return json.loads((folder / "s.json").read_text())["guide"]
