@@ -194,3 +194,71 @@ fn nearest(centres: &[Vec3], n: Vec3) -> Option<usize> {
     let cosines = centres.iter().map(|centre| centre.dot(n)).enumerate();
     cosines.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(i, _)| i)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::light::Parts;
+    use crate::medium::Medium;
+
+    /// Records over the six faces of a cube that is lit from +x and, dimly, from +z.
+    fn lit_cube(scale: f32) -> Vec<Record> {
+        let faces = [Vec3::X, Vec3::NEG_X, Vec3::Y, Vec3::NEG_Y, Vec3::Z, Vec3::NEG_Z];
+        let place = |n: Vec3, i: usize| {
+            let (u, v) = ((i % 8) as f32 / 8.0 - 0.4375, (i / 8) as f32 / 8.0 - 0.4375);
+            0.5 * n + u * Vec3::new(n.y, n.z, n.x).abs() + v * Vec3::new(n.z, n.x, n.y).abs()
+        };
+        let record = |(n, i): (Vec3, usize)| Record {
+            p: scale * place(n, i),
+            n,
+            area: scale * scale / 64.0,
+            irradiance: Rgb::new(1.0, 0.8, 0.5) * (n.x.max(0.0) + 0.1 * n.z.max(0.0)),
+            lights: Vec::new(),
+            directions: Vec::new(),
+            indirect: None,
+        };
+        faces.into_iter().flat_map(|n| (0..64).map(move |i| (n, i))).map(record).collect()
+    }
+
+    /// Techniques of a cell in the middle of the face with normal `n`.
+    fn techniques_of(n: Vec3, scale: f32) -> Techniques {
+        let records = lit_cube(scale);
+        let medium = Medium { sigma_t: Rgb::new(4.0, 8.0, 12.0) / scale, albedo: Rgb::new(0.99, 0.9, 0.8), g: 0.0 };
+        let build = |size: f32| Cache::build(size, &records, 2, &Parts::default());
+        let sources = Sources::new(&records, build, 0.25 * scale, Profile::new(&medium), false);
+        let at = sources.cache.cells.find(scale * (0.5 * n + 0.1), n).expect("records are everywhere");
+        let receiver = sources.cache.means[at as usize];
+        initial_techniques(&sources, &receiver, 7, 0.1, true)
+    }
+
+    #[test]
+    fn shares_do_not_know_the_unit_of_length() {
+        for n in [Vec3::X, Vec3::NEG_X, Vec3::Z, Vec3::NEG_Z] {
+            let techniques = techniques_of(n, 1.0);
+            assert!((techniques.shares.sum() - 1.0).abs() < 1e-6);
+            for scale in [1024.0, 1.0 / 1024.0] {
+                assert_eq!(techniques_of(n, scale), techniques, "{n} scale {scale}");
+            }
+        }
+    }
+
+    /// The lit faces that look another way have lanes of their own, the face of the receiver has the point of entry's.
+    #[test]
+    fn light_of_the_own_side_is_left_to_the_point_of_entry() {
+        let lanes = |n: Vec3| {
+            let techniques = techniques_of(n, 1.0);
+            let used = (0..LANES).filter(|&lane| techniques.shares.guided[1][lane] > 0.0);
+            (techniques.shares.guided[1], used.map(|lane| techniques.normal(lane)).collect::<Vec<_>>())
+        };
+        let alike = |found: &[Vec3], expected: &[Vec3]| {
+            found.len() == expected.len() && found.iter().zip(expected).all(|(a, b)| (*a - *b).length() < 1e-6)
+        };
+        let (_, dark) = lanes(Vec3::NEG_X);
+        assert!(alike(&dark, &[Vec3::NEG_X, Vec3::X, Vec3::Z]), "{dark:?}");
+        let (shares, lit) = lanes(Vec3::X);
+        assert!(alike(&lit, &[Vec3::X, Vec3::Z]), "{lit:?}");
+        assert!(shares[0] > 2.0 * shares[1], "{shares:?}");
+        // No lane is denied altogether: half of all is even.
+        assert!(shares[1] > 0.9 / 3.0 * 0.5 / 2.0, "{shares:?}");
+    }
+}
