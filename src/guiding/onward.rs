@@ -57,11 +57,13 @@ pub struct Onward {
     pub worth: f32,
     /// Expected value of a walk.
     pub expected: Rgb,
+    /// Variance of a walk, over its squared mean; 0: not known.
+    pub noise: f32,
 }
 
 impl Onward {
     /// Before anything is known: what tells the ways apart.
-    pub const UNKNOWN: Self = Self { ways: 2, worth: 0.0, expected: Rgb::ZERO };
+    pub const UNKNOWN: Self = Self { ways: 2, worth: 0.0, expected: Rgb::ZERO, noise: f32::INFINITY };
 }
 
 /// Most ways: 16 were no better where light comes from a card, and worse elsewhere.
@@ -69,6 +71,9 @@ const MOST_WAYS: f64 = 4.0;
 
 /// Walks from which sums say something: few may have missed the light that the others find.
 const LEAST_WALKS: f64 = 256.0;
+
+/// Walks from which their noise is told from none at all.
+const FEW_WALKS: f64 = 32.0;
 
 /// Share of the variance that is the walk's own, at least: what is left of a difference of two estimates may be anything.
 const LEAST_OWN: f64 = 0.05;
@@ -114,7 +119,7 @@ impl Effort {
 
     /// What follows, `before` being what followed so far.
     pub fn onward(&self, before: Onward) -> Onward {
-        if self.walks < LEAST_WALKS {
+        if self.walks < FEW_WALKS {
             return before;
         }
         let expected = Rgb::from_array(self.estimate.map(|sum| (sum / self.walks) as f32));
@@ -122,7 +127,10 @@ impl Effort {
         let (variance, cost) = ((square - average * average).max(0.0), self.cost / self.walks);
         let worth = (variance / cost.max(1.0)).sqrt() as f32;
         let ways = self.ways(variance, cost).unwrap_or(before.ways);
-        if worth.is_finite() && expected.is_finite() { Onward { ways, worth, expected } } else { before }
+        // Nothing may be what was brought so far.
+        let noise = if average > 0.0 { (variance / (average * average)) as f32 } else { f32::INFINITY };
+        let known = self.walks >= LEAST_WALKS && worth.is_finite() && expected.is_finite();
+        if known { Onward { ways, worth, expected, noise } } else { Onward { noise, ..before } }
     }
 
     /// The number of ways for which variance times cost is least; `None`: there were none to go by.

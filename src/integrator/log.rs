@@ -1,5 +1,6 @@
 //! What the walks of a path have to teach: filled while the path runs, read when it is over.
 
+use super::entry::Entry;
 use super::{Bucket, Path, add_to};
 use crate::film::FirstWalk;
 use crate::guiding::control::Controls;
@@ -49,6 +50,13 @@ pub struct WalkLog {
     pub statistics: Statistics,
     /// Of the path under way or just over, where AOVs show it; to be taken.
     pub first: Option<FirstWalk>,
+    /// Whether what paths bring from inside a medium is set apart.
+    pub shares: bool,
+    pub most: u32,
+    /// That of the path under way or just over; to be taken.
+    pub entry: Option<Entry>,
+    /// What AOVs of lights, then layers by lobe, show of it.
+    pub layers: Vec<Rgb>,
     walks: Vec<Logged>,
     exits: Vec<Exited>,
 }
@@ -70,7 +78,12 @@ impl Path<'_> {
         let (Some(region), Some(log)) = (region, &mut self.log) else { return None };
         let place = log.walks.len();
         if place < MOST {
-            let correction = controls.filter(|_| first).map_or(Rgb::ZERO, |controls| controls.correction(&ratios));
+            let entry = log.entry.as_ref().filter(|_| first);
+            let correction = controls.filter(|_| first).map_or(Rgb::ZERO, |controls| match entry {
+                // What leads to the last vertex that is shared is others' too: controls are for the rest.
+                Some(entry) => controls.difference(&ratios, &entry.ratios),
+                None => controls.correction(&ratios),
+            });
             let spread = (0.0, 0);
             log.walks.push(Logged {
                 region,
@@ -124,8 +137,13 @@ impl Path<'_> {
             sums.add(exited.direction, exited.pdf, brought);
         }
         for walk in log.walks.drain(logged[0]..) {
-            add_to(&mut self.sample, walk.bucket, -walk.throughput * walk.correction);
-            self.scene.lights.share_out(self.groups, -walk.throughput * walk.correction);
+            match log.entry.as_mut().filter(|_| walk.first) {
+                Some(entry) => entry.correction = walk.correction,
+                None => {
+                    add_to(&mut self.sample, walk.bucket, -walk.throughput * walk.correction);
+                    self.scene.lights.share_out(self.groups, -walk.throughput * walk.correction);
+                }
+            }
             if !after.is_finite() {
                 continue;
             }

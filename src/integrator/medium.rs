@@ -3,6 +3,7 @@
 use super::bent::{Bent, Refracted};
 use super::collision::{CollisionLight, Into};
 use super::leave::Begun;
+use super::entry::Entry;
 use super::nest::Nest;
 use super::watch::drawn;
 use super::{Path, Previous};
@@ -15,7 +16,7 @@ use crate::sampling::sampler::Sampler;
 use crate::scene::{BoundaryHit, Coating, InstanceEnclosure, SurfaceHit};
 use crate::subsurface::mixture::{Visitor, walk_mixture};
 use crate::subsurface::steps::{Enclosure, Start, WalkEnd};
-use crate::subsurface::technique::GuidedMedium;
+use crate::subsurface::technique::{Densities, GuidedMedium, PerTechnique};
 use crate::subsurface::walk::{Along, Collision, walk};
 use glam::{Vec2, Vec3};
 
@@ -82,6 +83,9 @@ impl<'a> Path<'a> {
             self.outlasts(instance, p, si.ng, sampler)?;
         }
         let mut start = Start { p, d: wi, normal: si.ng, hit: entry, weight: Rgb::ONE };
+        if boundary == Boundary::Diffuse && first {
+            self.note_entry(si, start, medium);
+        }
         let mut last = None;
         loop {
             let light = self.light_at_collisions(&passage, around.as_ref());
@@ -224,10 +228,15 @@ impl<'a> Path<'a> {
             let throughput = throughput.max_element();
             self.begun = guide.onward.map(|onward| Begun { onward, throughput, logged: None });
         }
+        if let Some(entry) = self.entry(passage.first) {
+            entry.know(guide.onward.map(|onward| onward.noise));
+            if guide.onward.is_some_and(|onward| onward.noise < super::reuse::env("CC", 3.0)) { entry.expected = guide.onward.map_or(Rgb::ZERO, |onward| onward.expected); }
+        }
         let mut visitor: Collisions<'_, LIT> = Collisions {
             passage,
             light,
             cp: kind == Walk::Cp,
+            entry: self.log.as_mut().and_then(|log| log.entry.as_mut()).filter(|_| passage.first),
             late: None,
             into: Into { sample: &mut self.sample, groups: &mut *self.groups, lobes: &mut *self.lobes, aim: None },
             shadow_rays: 0,
@@ -238,6 +247,12 @@ impl<'a> Path<'a> {
         let (late, shadow_rays) = (visitor.late, visitor.shadow_rays);
         self.aim = visitor.into.aim;
         self.stats.shadow_rays += shadow_rays;
+        if let Some(entry) = self.entry(passage.first) {
+            if let WalkEnd::Boundary { hit, .. } = end.end {
+                let at = (passage.enclosure.point(&hit), passage.enclosure.normal(&hit));
+                entry.exit(at, end.densities.weight(), end.densities.ratios());
+            }
+        }
         if logs {
             let ratios = end.densities.ratios();
             let before = before.color();
@@ -303,9 +318,16 @@ impl<'a> Path<'a> {
             };
             followed
         };
+        if let Some(entry) = self.entry(passage.first) {
+            entry.know(None);
+        }
         let mut into = Into { sample: &mut self.sample, groups: &mut *self.groups, lobes: &mut *self.lobes, aim: None };
         let shadow_rays = &mut self.stats.shadow_rays;
+        let mut entry = self.log.as_mut().and_then(|log| log.entry.as_mut()).filter(|_| passage.first);
         let collide = |collision: &Collision, sampler: &mut Sampler| {
+            if let Some(entry) = &mut entry {
+                entry.collision(collision.p, collision.weight / start.weight, PerTechnique::default());
+            }
             if let Some(light) = &light {
                 *shadow_rays += light.add(collision, enclosure, sampler, &mut into);
             }
@@ -316,6 +338,10 @@ impl<'a> Path<'a> {
         let ahead = passage.bent.is_some();
         let end = walk(enclosure, medium, slab, start, ahead, sampler, stats, late, collide);
         self.aim = into.aim;
+        if let (Some(entry), WalkEnd::Boundary { hit, weight, .. }) = (self.entry(passage.first), &end) {
+            let at = (passage.enclosure.point(hit), passage.enclosure.normal(hit));
+            entry.exit(at, *weight / start.weight, PerTechnique::default());
+        }
         if passage.first && self.guide.watched() {
             let segments = self.stats.walk.steps - segments;
             self.watch(passage.instance, &start, segments, followed, drawn(followed, start.normal));
@@ -362,6 +388,8 @@ struct Collisions<'a, const LIT: bool> {
     passage: &'a Passage<'a>,
     light: Option<CollisionLight<'a>>,
     cp: bool,
+    /// Where the first collisions are noted for other pixels.
+    entry: Option<&'a mut Entry>,
     /// The closest point's normal, once known.
     late: Option<Vec3>,
     into: Into<'a>,
@@ -370,6 +398,16 @@ struct Collisions<'a, const LIT: bool> {
 
 impl<const LIT: bool> Visitor for Collisions<'_, LIT> {
     const AT_COLLISIONS: bool = LIT;
+
+    fn vertices(&self) -> u32 {
+        self.entry.as_ref().map_or(0, |entry| entry.most)
+    }
+
+    fn vertex(&mut self, p: Vec3, densities: &Densities) {
+        if let Some(entry) = &mut self.entry {
+            entry.collision(p, densities.weight() / self.passage.medium.medium.albedo, densities.ratios());
+        }
+    }
 
     fn late_normal(&mut self, p: Vec3) -> Option<Vec3> {
         if self.cp {

@@ -4,6 +4,7 @@
 mod bent;
 mod collision;
 mod direct;
+mod entry;
 mod footprint;
 mod leave;
 mod lobes;
@@ -12,12 +13,14 @@ mod manifold;
 mod medium;
 mod nest;
 mod probe;
+mod reuse;
 mod shadow;
 mod surface;
 mod wade;
 mod watch;
 
 pub use log::WalkLog;
+pub use reuse::Shared;
 pub use probe::{LIGHTS as PROBED_LIGHTS, beams_at, probe};
 
 use crate::bsdf::Response;
@@ -173,6 +176,7 @@ pub fn trace(
     }
     while path.segment(sampler).is_some() {}
     path.finish_walks();
+    path.set_apart();
     let sample = path.sample;
     if !sample.color().is_finite() {
         path.stats.non_finite += 1;

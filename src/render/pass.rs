@@ -6,7 +6,8 @@ use crate::film::{Film, Tile};
 use crate::flat::{PRIMVAR_AOV, RenderSettings};
 use crate::guiding::Guide;
 use crate::guiding::statistics::Statistics;
-use crate::integrator::{PathSettings, PathStats, WalkLog, trace};
+use crate::film::Sample;
+use crate::integrator::{PathSettings, PathStats, Shared, WalkLog, trace};
 use crate::math::Rgb;
 use crate::sampling::sampler::Sampler;
 use crate::scene::Scene;
@@ -169,33 +170,61 @@ fn render_tile(
     // A pilot has none.
     let shown = settings.aovs.iter().filter(|_| tile.shows_primvars());
     let primvars: Vec<&str> = shown.filter_map(|aov| aov.strip_prefix(PRIMVAR_AOV)).collect();
-    let mut lights = vec![Rgb::ZERO; tile.light_aovs()];
-    let mut lobes = vec![Rgb::ZERO; tile.lobe_aovs()];
-    for i in 0..(tile.width * tile.height) as usize {
-        let (x, y) = (tile.x0 + (i as u32 % tile.width) as i32, tile.y0 + (i as u32 / tile.width) as i32);
-        // A crop renders the pixels of the whole.
-        let pixel = scene.camera.pixel_number(x, y);
-        for sample in samples.clone() {
-            let mut sampler = Sampler::new(seed, pixel, sample);
+    let n = (tile.width * tile.height) as usize;
+    let (light_aovs, lobe_aovs) = (tile.light_aovs(), tile.lobe_aovs());
+    log.shares = settings.reuse > 0 && scene.frozen.is_some();
+    log.most = settings.reuse;
+    let mut shared = Shared::default();
+    let mut of_sample: Vec<Sample> = Vec::with_capacity(n);
+    let mut lights = vec![Rgb::ZERO; n * light_aovs];
+    let mut lobes = vec![Rgb::ZERO; n * lobe_aovs];
+    for s in samples {
+        of_sample.clear();
+        shared.clear(light_aovs + lobe_aovs);
+        for i in 0..n {
+            let (x, y) = (tile.x0 + (i as u32 % tile.width) as i32, tile.y0 + (i as u32 / tile.width) as i32);
+            // A crop renders the pixels of the whole.
+            let pixel = scene.camera.pixel_number(x, y);
+            let mut sampler = Sampler::new(seed, pixel, s);
             let u_filter = sampler.next_2d();
             let u_lens = if lens { sampler.next_2d() } else { sampler.skip_2d() };
             let raster = Vec2::new(x as f32 + 0.5 + tent(u_filter.x), y as f32 + 0.5 + tent(u_filter.y));
             let time = scene.frozen.unwrap_or_else(|| sampler.time());
             let ray = scene.camera.ray(raster, u_lens, time);
-            let (lights, lobes) = (&mut lights, &mut lobes);
+            let lights = &mut lights[i * light_aovs..(i + 1) * light_aovs];
+            let lobes = &mut lobes[i * lobe_aovs..(i + 1) * lobe_aovs];
             let mut sample = trace(scene.at(time), guide, path, ray, &mut sampler, &mut stats, &mut log, lights, lobes);
             if let Some(surface) = sample.surface.filter(|_| tile.watches_motion()) {
                 sample.motion = scene.motion_vector(&surface);
             }
-            tile.add(i, &sample);
-            tile.add_lights(i, lights);
-            tile.add_lobes(i, lobes);
+            of_sample.push(sample);
+            if let Some(entry) = log.entry.take() {
+                shared.push(i, [x, y], entry, &log.layers);
+            }
             if let Some(surface) = sample.surface.filter(|_| !primvars.is_empty()) {
                 tile.add_primvars(i, primvars.iter().map(|name| scene.primvar_at(&surface, name)));
             }
             if let Some(walk) = log.first.take() {
                 tile.add_walk(i, sample.first.depth, &walk);
             }
+        }
+        if log.shares {
+            let mut place = Sampler::new(seed ^ 0x51ab_3c77, 0, s);
+            let shift = glam::Vec3::new(place.random(), place.random(), place.random());
+            shared.hand_out(scene.at(scene.frozen.unwrap()), shift, &mut stats, |i, shown, unlit, aovs| {
+                of_sample[i].subsurface += shown;
+                let (groups, of_lobes) = aovs.split_at(light_aovs);
+                let mine = &mut lights[i * light_aovs..(i + 1) * light_aovs];
+                mine.iter_mut().zip(groups).for_each(|(sum, light)| *sum += *light);
+                scene.lights.share_out(mine, unlit);
+                let mine = &mut lobes[i * lobe_aovs..(i + 1) * lobe_aovs];
+                mine.iter_mut().zip(of_lobes).for_each(|(sum, light)| *sum += *light);
+            });
+        }
+        for (i, sample) in of_sample.iter().enumerate() {
+            tile.add(i, sample);
+            tile.add_lights(i, &lights[i * light_aovs..(i + 1) * light_aovs]);
+            tile.add_lobes(i, &lobes[i * lobe_aovs..(i + 1) * lobe_aovs]);
         }
     }
     (stats, log.statistics)

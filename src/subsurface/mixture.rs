@@ -26,6 +26,14 @@ pub trait Visitor {
     /// Light is sampled at collisions (index-matched boundaries): the walk then keeps the pdf of its directions.
     const AT_COLLISIONS: bool;
 
+    /// The first collisions of a walk at which [`Self::vertex`] is called.
+    fn vertices(&self) -> u32 {
+        0
+    }
+
+    /// Called at those, with the densities of what leads there.
+    fn vertex(&mut self, _p: Vec3, _densities: &Densities) {}
+
     /// The slab normal of lane 0 where it is only known at the first collision, `p`. Called once per walk.
     fn late_normal(&mut self, _p: Vec3) -> Option<Vec3> {
         None
@@ -94,6 +102,9 @@ pub fn walk_mixture<E: Enclosure, V: Visitor>(
                 walk.techniques.set_normal(0, normal);
                 walk.along = drawn.lane.map(|lane| Frame::from_normal(walk.techniques.normal(lane)));
             }
+        }
+        if walk.prefix.collisions <= visitor.vertices() {
+            visitor.vertex(steps.p, &walk.densities(At::Collision));
         }
         if walk.prefix.collisions % ROULETTE_EVERY == 0 && !walk.survives(sampler) {
             return walk.end(WalkEnd::Absorbed, At::Collision, stats);

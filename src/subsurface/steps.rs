@@ -85,7 +85,7 @@ const MARGIN: f32 = 4.0;
 const TANGENT: f32 = 64.0;
 
 /// A walk under way.
-pub(super) struct Steps<'a, E: Enclosure> {
+pub(crate) struct Steps<'a, E: Enclosure> {
     enclosure: &'a E,
     start: Start<E::Hit>,
     /// The last vertex.
@@ -96,7 +96,7 @@ pub(super) struct Steps<'a, E: Enclosure> {
 }
 
 /// What a segment led to.
-pub(super) enum Step<H> {
+pub(crate) enum Step<H> {
     /// The boundary, at distance `t`.
     Boundary {
         t: f32,

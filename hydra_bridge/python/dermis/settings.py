@@ -36,6 +36,7 @@ DERMIS_SETTINGS: dict[str, Any] = {
     "exitLights": "auto",
     "refractedLight": "auto",
     "guideExits": True,
+    "reuse": 0,
     "cacheFill": "surface",
     "cacheResolution": 0,
     "subsurfaceBoundary": "auto",
