@@ -138,7 +138,9 @@ pub struct RenderSettings {
     pub refracted_light: String,
     /// Where walks of `mixture` come out of a diffuse boundary, half of them go on to where light was seen.
     pub guide_exits: bool,
-    pub reuse: u32,
+    /// Pixels have a part in the paths of their neighbours through a medium with a diffuse boundary: `on`, `off`, or `auto`: with
+    /// [`Self::walk`] `auto`.
+    pub shared_paths: String,
     /// What fills the boundary cache: `surface` (uniform samples) or `camera` (walks of camera paths).
     pub cache_fill: String,
     /// Cells of the boundary cache along the longest side of an object; 0: by mean free path and pixel size.
@@ -187,7 +189,7 @@ impl Default for RenderSettings {
             exit_lights: "auto".into(),
             refracted_light: "auto".into(),
             guide_exits: true,
-            reuse: 0,
+            shared_paths: "auto".into(),
             cache_fill: "surface".into(),
             cache_resolution: 0,
             subsurface_boundary: "auto".into(),

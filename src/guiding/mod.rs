@@ -243,6 +243,11 @@ impl Guide {
         }
     }
 
+    /// Whether neighbouring pixels share paths through any medium.
+    pub fn shares(&self) -> bool {
+        self.plans.iter().flatten().any(|plan| plan.shares)
+    }
+
     /// Whether walks have anything to teach.
     pub fn learns(&self) -> bool {
         self.fields.iter().flatten().any(|field| field.learns())

@@ -34,6 +34,8 @@ pub struct Plan {
     pub exact: bool,
     /// Collisions look for light through a boundary that bends it.
     pub bends: bool,
+    /// Neighbouring pixels share the paths through it.
+    pub shares: bool,
     pub why: String,
 }
 
@@ -71,7 +73,7 @@ pub fn plans(scene: &Scene, settings: &RenderSettings) -> Vec<Option<Plan>> {
         let mut plan = if varies && anisotropic {
             let why = "its medium is driven and its phase function is not isotropic: kernels for each point would take \
                        longer than its walks";
-            Plan { walk: Walk::Classical, exact: false, bends: false, why: why.into() }
+            Plan { walk: Walk::Classical, exact: false, bends: false, shares: false, why: why.into() }
         } else {
             plan(settings, &interior, owner.thickness(), scene.is_lit())
         };
@@ -81,6 +83,10 @@ pub fn plans(scene: &Scene, settings: &RenderSettings) -> Vec<Option<Plan>> {
         plan.bends = bends(scene, settings, coating, owner, &plan);
         if plan.bends {
             plan.why += "; collisions look for light through its smooth boundary";
+        }
+        plan.shares = shares(scene, settings, &interior, varies);
+        if plan.shares {
+            plan.why += "; neighbouring pixels share its paths";
         }
         plans[index] = Some(plan);
     }
@@ -103,6 +109,18 @@ fn bends(scene: &Scene, settings: &RenderSettings, coating: &Coating, owner: &In
     smooth && wanted && has_plain_normals(scene, owner) && is_alone_somewhere(scene, owner)
 }
 
+/// Whether neighbouring pixels may share paths: all that they need to know of each other's is the way from vertex to vertex, so that nothing
+/// may depend on its direction, on the entry, or on the time. Walks that were asked for are those of the literature.
+fn shares(scene: &Scene, settings: &RenderSettings, interior: &Interior, varies: bool) -> bool {
+    let wanted = match settings.shared_paths.as_str() {
+        "off" => false,
+        "on" => true,
+        _ => settings.walk == "auto",
+    };
+    let plain = interior.boundary == Boundary::Diffuse && interior.medium.g == 0.0 && !varies;
+    wanted && plain && interior.medium.scatters() && scene.frozen.is_some()
+}
+
 /// Whether no part of a mesh bends its normals: light that came in elsewhere may leave there.
 fn has_plain_normals(scene: &Scene, of: &Instance) -> bool {
     of.coatings(&scene.surfaces).iter().all(|coating| !coating.driven.as_deref().is_some_and(Driven::bends))
@@ -114,12 +132,13 @@ fn is_alone_somewhere(scene: &Scene, of: &Instance) -> bool {
 }
 
 fn plan(settings: &RenderSettings, interior: &Interior, thickness: f32, lit: bool) -> Plan {
-    let asked = |walk, exact| Plan { walk, exact, bends: false, why: format!("walk={} asked for", settings.walk) };
+    let asked = |walk, exact| Plan { walk, exact, bends: false, shares: false, why: format!("walk={} asked for", settings.walk) };
     if !interior.medium.scatters() {
         return Plan {
             walk: Walk::Classical,
             exact: false,
             bends: false,
+            shares: false,
             why: "it only absorbs, so there is nothing to guide".into(),
         };
     }
@@ -138,7 +157,7 @@ fn plan(settings: &RenderSettings, interior: &Interior, thickness: f32, lit: boo
 
 fn automatic(interior: &Interior, thickness: f32, lit: bool, exact: bool) -> Plan {
     let depth = interior.medium.sigma_t.max_element() * thickness;
-    let classical = |why: String| Plan { walk: Walk::Classical, exact: false, bends: false, why };
+    let classical = |why: String| Plan { walk: Walk::Classical, exact: false, bends: false, shares: false, why };
     if !lit {
         return classical("nothing emits light, so there is no light to walk to".into());
     }
@@ -150,5 +169,5 @@ fn automatic(interior: &Interior, thickness: f32, lit: bool, exact: bool) -> Pla
             "{depth:.0} mean free paths across behind a dielectric: walks are too short for guiding to pay"
         ));
     }
-    Plan { walk: Walk::Mixture, exact, bends: false, why: format!("{depth:.0} mean free paths across, lit") }
+    Plan { walk: Walk::Mixture, exact, bends: false, shares: false, why: format!("{depth:.0} mean free paths across, lit") }
 }

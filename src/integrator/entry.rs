@@ -1,6 +1,7 @@
-//! What a camera path notes of its first walk, so that other pixels may have a part of what it brings.
+//! What a camera path notes of its first walk, so that the pixels around it may have a part of what it brings.
 
 use super::Path;
+use crate::guiding::onward::Onward;
 use crate::interaction::Interaction;
 use crate::math::Rgb;
 use crate::medium::Medium;
@@ -9,17 +10,32 @@ use crate::subsurface::steps::Start;
 use crate::subsurface::technique::{GuidedMedium, PerTechnique, TECHNIQUES};
 use glam::Vec3;
 
-/// Most vertices behind the entry that are noted.
-pub(super) const MOST: usize = 6;
+/// Most vertices behind the entry that are noted: each is a mean free path farther from the entry, and costs a sum over techniques.
+const MOST: usize = 4;
+
+/// Mean free paths in pixels above which the first vertex is enough, and collisions too far apart to be of use to each other.
+const WIDE: f32 = 8.0;
+
+/// Mean free paths in pixels below which pixels have nothing to share.
+const NARROW: f32 = 0.3;
+
+/// Variance of a walk over its squared mean above which sharing pays where a mean free path is [`FEW`] pixels: what pixels
+/// get from each other varies by itself. Where it is longer there is more to share.
+const NOISY: f32 = 2.0;
+const FEW: f32 = 1.5;
+
+/// The same below which what is expected is subtracted from what is shared: of more noise it is no great part, and walks that bring
+/// nothing need not be handed out then.
+const QUIET: f32 = 3.0;
 
 /// A vertex of a walk.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Vertex {
     /// Walk space.
     pub p: Vec3,
-    /// Outward normal, unit, where the walk comes out; else it collides.
+    /// Outward normal, unit, where the walk comes out; `None`: it collides.
     pub exit: Option<Vec3>,
-    /// f / pdf of what leads there from the entry, without the albedo of a collision.
+    /// f / pdf of what leads there from the entry, the albedo of a collision included.
     pub weight: Rgb,
 }
 
@@ -27,46 +43,51 @@ pub(super) struct Vertex {
 #[derive(Debug, Clone, Copy)]
 pub struct Entry {
     pub(super) instance: u32,
+    pub(super) surface: u32,
     pub(super) start: Start<BoundaryHit>,
     /// Shading normal, outward: directions that enter have its cosine.
     pub(super) normal: Vec3,
     pub(super) medium: Medium,
-    /// Width of a pixel.
+    /// Width of a pixel there, stage units.
     pub(super) footprint: f32,
     /// What the path carried in.
     pub(super) throughput: Rgb,
     /// Vertices behind the entry, of which `count` are noted.
     vertices: [Vertex; MOST],
     count: usize,
-    /// To be noted.
-    pub(super) most: u32,
+    /// That are to be noted; 0: the path is its pixel's alone.
+    pub(super) most: usize,
     /// Density ratios of what leads to the last of them.
     pub(super) ratios: PerTechnique,
     /// Control variates of what is behind it, to be subtracted per throughput.
     pub(super) correction: Rgb,
-    /// What a walk is expected to bring per throughput; 0: not known.
+    /// What a walk is expected to bring per throughput; 0: not known, or of no use.
     pub(super) expected: Rgb,
     /// What the path had brought before it entered; then, what it brought since.
     pub(super) brought: Rgb,
 }
 
 impl Entry {
-    /// Mean free path in pixels.
+    /// The vertices behind the entry.
+    pub(super) fn vertices(&self) -> &[Vertex] {
+        &self.vertices[..self.count]
+    }
+
+    /// Mean free path of the clearest channel, in pixels.
     pub(super) fn across(&self) -> f32 {
         (self.medium.sigma_t.min_element() * self.footprint).recip()
     }
 
-    /// What walks from here bring is known to vary by `noise`, variance over squared mean.
-    pub(super) fn know(&mut self, noise: Option<f32>) {
-        use super::reuse::env;
-        let across = self.across();
-        let worth = noise.is_none_or(|noise| noise > env("CT", 2.0) * (env("CA", 1.5) / across).powi(2).min(1.0)) && across > env("CF", 0.3);
-        self.most = if !worth { 0 } else if across > env("CM", 8.0) { 1 } else { self.most };
-    }
-
-    /// The vertices behind the entry.
-    pub(super) fn vertices(&self) -> &[Vertex] {
-        &self.vertices[..self.count]
+    /// Takes in what is known of the walks that start here.
+    pub(super) fn know(&mut self, onward: Option<&Onward>) {
+        let Some(onward) = onward else { return };
+        let noisy = NOISY * (FEW / self.across()).powi(2).min(1.0);
+        if onward.noise < noisy {
+            self.most = 0;
+        } else if onward.noise < QUIET {
+            // A channel that is absorbed at once has no weight to compare with.
+            self.expected = Rgb::select(self.medium.albedo.cmpgt(Rgb::ZERO), onward.expected, Rgb::ZERO);
+        }
     }
 
     /// A collision at `p`, walk space.
@@ -74,13 +95,13 @@ impl Entry {
         self.note(Vertex { p, exit: None, weight }, ratios);
     }
 
-    /// The end of the walk, walk space, with the normal there.
+    /// The end of the walk, walk space, with the normal there: noted unless collisions before it were not.
     pub(super) fn exit(&mut self, (p, n): (Vec3, Vec3), weight: Rgb, ratios: PerTechnique) {
         self.note(Vertex { p, exit: Some(n), weight }, ratios);
     }
 
     fn note(&mut self, vertex: Vertex, ratios: PerTechnique) {
-        if self.count < self.most as usize {
+        if self.count < self.most {
             self.vertices[self.count] = vertex;
             self.count += 1;
             self.ratios = ratios;
@@ -100,8 +121,9 @@ impl Path<'_> {
         log.layers.clear();
         log.layers.extend(self.groups.iter().chain(&*self.lobes));
         let nowhere = Vertex { p: start.p, exit: None, weight: Rgb::ZERO };
-        log.entry = Some(Entry {
+        let mut entry = Entry {
             instance: si.instance,
+            surface: si.surface,
             start,
             normal: si.frame.n,
             medium: medium.medium,
@@ -109,12 +131,19 @@ impl Path<'_> {
             throughput: self.throughput,
             vertices: [nowhere; MOST],
             count: 0,
-            most: log.most,
+            most: 0,
+            // The expectation of each: until a vertex is noted, control variates are for the whole walk.
             ratios: PerTechnique::from_list(&[1.0; TECHNIQUES]),
             correction: Rgb::ZERO,
             expected: Rgb::ZERO,
             brought: self.sample.subsurface,
-        });
+        };
+        entry.most = match entry.across() {
+            across if across > WIDE => 1,
+            across if across > NARROW => MOST,
+            _ => 0,
+        };
+        log.entry = Some(entry);
     }
 
     /// Once the path is over: what it brought since it entered is the entry's, no longer its own.

@@ -52,7 +52,6 @@ pub struct WalkLog {
     pub first: Option<FirstWalk>,
     /// Whether what paths bring from inside a medium is set apart.
     pub shares: bool,
-    pub most: u32,
     /// That of the path under way or just over; to be taken.
     pub entry: Option<Entry>,
     /// What AOVs of lights, then layers by lobe, show of it.

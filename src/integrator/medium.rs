@@ -83,7 +83,7 @@ impl<'a> Path<'a> {
             self.outlasts(instance, p, si.ng, sampler)?;
         }
         let mut start = Start { p, d: wi, normal: si.ng, hit: entry, weight: Rgb::ONE };
-        if boundary == Boundary::Diffuse && first {
+        if plan.shares && first {
             self.note_entry(si, start, medium);
         }
         let mut last = None;
@@ -229,8 +229,7 @@ impl<'a> Path<'a> {
             self.begun = guide.onward.map(|onward| Begun { onward, throughput, logged: None });
         }
         if let Some(entry) = self.entry(passage.first) {
-            entry.know(guide.onward.map(|onward| onward.noise));
-            if guide.onward.is_some_and(|onward| onward.noise < super::reuse::env("CC", 3.0)) { entry.expected = guide.onward.map_or(Rgb::ZERO, |onward| onward.expected); }
+            entry.know(guide.onward.as_ref());
         }
         let mut visitor: Collisions<'_, LIT> = Collisions {
             passage,
@@ -318,9 +317,6 @@ impl<'a> Path<'a> {
             };
             followed
         };
-        if let Some(entry) = self.entry(passage.first) {
-            entry.know(None);
-        }
         let mut into = Into { sample: &mut self.sample, groups: &mut *self.groups, lobes: &mut *self.lobes, aim: None };
         let shadow_rays = &mut self.stats.shadow_rays;
         let mut entry = self.log.as_mut().and_then(|log| log.entry.as_mut()).filter(|_| passage.first);
@@ -400,12 +396,12 @@ impl<const LIT: bool> Visitor for Collisions<'_, LIT> {
     const AT_COLLISIONS: bool = LIT;
 
     fn vertices(&self) -> u32 {
-        self.entry.as_ref().map_or(0, |entry| entry.most)
+        self.entry.as_ref().map_or(0, |entry| entry.most as u32)
     }
 
     fn vertex(&mut self, p: Vec3, densities: &Densities) {
         if let Some(entry) = &mut self.entry {
-            entry.collision(p, densities.weight() / self.passage.medium.medium.albedo, densities.ratios());
+            entry.collision(p, densities.weight(), densities.ratios());
         }
     }
 

@@ -1,10 +1,11 @@
 //! Paths that pixels share: what a walk brings behind a vertex goes to all walks that could have got there.
 //!
-//! Walks k of neighbouring pixels are at x_k, a point of entry or a collision, with weights A_k; one of them, j, goes on to x, and
-//! brings L_j in the end. With F_k(x) what comes from x_k to x without a collision, walk i gets
-//! A_i F_i / (sum_k A_k F_k) L_j: the balance heuristic over the walks that could have made that step (Veach and Guibas 1995; Bekaert, Sbert,
-//! Halton 2002, "Accelerating path tracing by re-using paths"). The parts of a walk add up to all of it, so that nothing is brighter than
-//! it was. From the last vertices that are noted back to the entries, a walk's light is spread over more and more of its neighbours.
+//! Walks k of neighbouring pixels have come with the weights A_k to x_k, points of entry or collisions; one of them, j, goes on to x and
+//! brings L_j in the end. With F_k(x) what gets from x_k to x without a collision, walk i has the part
+//! A_i F_i / (sum_k A_k F_k) of L_j: the balance heuristic over the walks that could have made that step (Bekaert, Sbert, Halton 2002,
+//! "Accelerating path tracing by re-using paths"). The parts of a walk add up to all of it, so that nothing gets brighter than it was. From
+//! the last vertices that are noted back to the entries, light is spread over more and more neighbours. Groups are chosen by where
+//! the x_k are, before anything is known of x, so that each step keeps the expectation of what is behind x_k.
 
 use super::PathStats;
 use super::entry::{Entry, Vertex};
@@ -18,44 +19,61 @@ const SHOWN: usize = 0;
 const UNLIT: usize = 1;
 const AOVS: usize = 2;
 
-/// A position error is as much of the way that a vertex may be on the wrong side of a boundary by.
+/// Side in pixels of a group of entries, and where a mean free path is less than [`SHORT`] pixels.
+const SIDE: i32 = 6;
+const SMALL_SIDE: i32 = 2;
+const SHORT: f32 = 1.5;
+
+/// Side in mean free paths of the cell of a group of collisions.
+const CELL: f32 = 2.0;
+
+/// Position errors that an exit is seen from this side of its surface by.
 const MARGIN: f32 = 8.0;
 
-/// The paths of a tile, one per pixel, whose light may be shared.
+/// The paths of a tile, one per pixel, whose light may be shared. Light is per throughput.
 #[derive(Default)]
 pub struct Shared {
-    pixels: Vec<(usize, [i32; 2])>,
-    entries: Vec<Entry>,
-    /// By entry, then by layer: per throughput.
+    members: Vec<Member>,
+    /// By member, then by layer.
     light: Vec<Rgb>,
     layers: usize,
-    order: Vec<(Key, usize)>,
+    // Scratch memory.
+    order: Vec<(Group, usize)>,
     reach: Vec<Rgb>,
     next: Vec<Rgb>,
 }
 
-/// The cell of a vertex: instance, binary logarithm of the cell's size, place.
-type Key = (u32, i32, [i32; 3]);
+/// The path of a pixel.
+struct Member {
+    /// Index in the tile.
+    pixel: usize,
+    /// On the image.
+    at: [i32; 2],
+    entry: Entry,
+}
+
+/// Instance and surface, whose medium is one; size of the group (pixels, or a binary logarithm of a cell's side), place.
+type Group = ([u32; 2], i32, [i32; 3]);
 
 impl Shared {
-    pub fn clear(&mut self, layers: usize) {
-        self.pixels.clear();
-        self.entries.clear();
+    /// Forgets all; paths to come have so many `aovs`.
+    pub fn clear(&mut self, aovs: usize) {
+        self.members.clear();
         self.light.clear();
-        self.layers = AOVS + layers;
+        self.layers = AOVS + aovs;
     }
 
-    /// The path of pixel `i`, with the AOVs of its light.
-    pub fn push(&mut self, i: usize, pixel: [i32; 2], entry: Entry, aovs: &[Rgb]) {
+    /// The path of pixel `pixel` of the tile, `at` on the image, with the AOVs of its light.
+    pub fn push(&mut self, pixel: usize, at: [i32; 2], entry: Entry, aovs: &[Rgb]) {
         let carried = entry.throughput.cmpgt(Rgb::ZERO);
         let per_throughput = |light: Rgb| Rgb::select(carried, light / entry.throughput, Rgb::ZERO);
-        self.pixels.push((i, pixel));
         self.light.extend([per_throughput(entry.brought) - entry.correction, -entry.correction]);
         self.light.extend(aovs.iter().map(|light| per_throughput(*light)));
-        self.entries.push(entry);
+        self.members.push(Member { pixel, at, entry });
     }
 
-    /// Hands it out: `add` gets the pixel, what it shows, what of it belongs to no light, AOVs. Cells are moved by `shift` in [0, 1).
+    /// Hands the light out: `add` gets the pixel, what it shows, what of it belongs to no light, AOVs. Groups are moved by `shift` in
+    /// [0, 1), which has to be another for each sample.
     pub fn hand_out(
         &mut self,
         scene: Moment,
@@ -63,142 +81,154 @@ impl Shared {
         stats: &mut PathStats,
         mut add: impl FnMut(usize, Rgb, Rgb, &[Rgb]),
     ) {
-        let most = self.entries.iter().map(|entry| entry.most as usize).max().unwrap_or(0);
+        let most = self.members.iter().map(|member| member.entry.most).max().unwrap_or(0);
         for stage in (0..most).rev() {
             self.stage(scene, stage, shift, stats);
         }
-        let rows = self.light.chunks_exact_mut(self.layers);
-        for (((i, _), entry), row) in self.pixels.iter().zip(&self.entries).zip(rows) {
-            row.iter_mut().for_each(|light| *light *= entry.throughput);
-            add(*i, row[SHOWN], row[UNLIT], &row[AOVS..]);
+        for (member, row) in self.members.iter().zip(self.light.chunks_exact_mut(self.layers)) {
+            row.iter_mut().for_each(|light| *light *= member.entry.throughput);
+            add(member.pixel, row[SHOWN], row[UNLIT], &row[AOVS..]);
         }
     }
 
-    /// Shares what is behind the vertex `stage` of all paths.
+    /// Shares what is behind the vertices `stage` of all paths, 0 being the entry.
     fn stage(&mut self, scene: Moment, stage: usize, shift: Vec3, stats: &mut PathStats) {
         let mut order = std::mem::take(&mut self.order);
         order.clear();
-        order.extend(self.entries.iter().enumerate().filter_map(|(i, entry)| Some((entry.cell(stage, self.pixels[i].1, shift)?, i))));
+        let members = self.members.iter().enumerate();
+        order.extend(members.filter_map(|(i, member)| Some((member.group(stage, shift)?, i))));
         order.sort_unstable();
-        for cell in order.chunk_by(|a, b| a.0 == b.0).filter(|cell| cell.len() > 1) {
-            self.cell(scene, stage, cell, stats);
+        for group in order.chunk_by(|a, b| a.0 == b.0).filter(|group| group.len() > 1) {
+            self.group(scene, stage, group, stats);
         }
         self.order = order;
     }
 
-    /// The same of those in one cell.
-    fn cell(&mut self, scene: Moment, stage: usize, cell: &[(Key, usize)], stats: &mut PathStats) {
-        let Self { entries, light, layers, reach, next, .. } = self;
-        let layers = *layers;
-        let enclosure = InstanceEnclosure::new(scene, cell[0].0.0);
-        next.clear();
-        next.resize(cell.len() * layers, Rgb::ZERO);
-        let expects = cell.iter().any(|(_, k)| entries[*k].expected != Rgb::ZERO);
-        for (_, j) in cell {
-            let from = &entries[*j];
-            let row = &light[j * layers..(j + 1) * layers];
-            let Some(to) = from.vertices().get(stage) else { continue };
-            if !expects && row.iter().all(|light| *light == Rgb::ZERO) {
-                continue;
-            }
-            reach.clear();
-            reach.extend(cell.iter().map(|(_, k)| {
-                let of = &entries[*k];
-                if of.medium != from.medium {
-                    return Rgb::ZERO;
-                }
-                stats.shadow_rays += u64::from(k != j);
-                of.reach(&enclosure, stage, to, k == j)
-            }));
-            let sum: Rgb = reach.iter().sum();
-            for (n, (_, k)) in cell.iter().enumerate() {
-                let all = if k == j { Rgb::ONE } else { Rgb::ZERO };
-                let share = Rgb::select(sum.cmpgt(Rgb::ZERO), reach[n] / sum, all);
-                if share == Rgb::ZERO {
-                    continue;
-                }
-                let next = &mut next[n * layers..(n + 1) * layers];
-                next.iter_mut().zip(row).for_each(|(next, light)| *next += share * *light);
-                let expected = share * to.weight * entries[*k].expected;
-                next[SHOWN] -= expected;
-                next[UNLIT] -= expected;
+    /// The same of one group.
+    fn group(&mut self, scene: Moment, stage: usize, group: &[(Group, usize)], stats: &mut PathStats) {
+        let enclosure = InstanceEnclosure::new(scene, group[0].0.0[0]);
+        self.next.clear();
+        self.next.resize(group.len() * self.layers, Rgb::ZERO);
+        let expects = group.iter().any(|(_, k)| self.members[*k].entry.expected != Rgb::ZERO);
+        for (_, j) in group {
+            let nothing = self.row(*j).iter().all(|light| *light == Rgb::ZERO);
+            let to = self.members[*j].entry.vertices().get(stage).copied();
+            if let Some(to) = to.filter(|_| expects || !nothing) {
+                self.split(&enclosure, stage, group, *j, &to, stats);
             }
         }
-        for (n, (_, k)) in cell.iter().enumerate() {
-            let (row, entry) = (&mut light[k * layers..(k + 1) * layers], &entries[*k]);
-            row.copy_from_slice(&next[n * layers..(n + 1) * layers]);
-            let expected = entry.scattered(stage) * entry.expected;
+        for (n, (_, k)) in group.iter().enumerate() {
+            let entry = &self.members[*k].entry;
+            let row = &mut self.light[k * self.layers..(k + 1) * self.layers];
+            row.copy_from_slice(&self.next[n * self.layers..(n + 1) * self.layers]);
+            let expected = entry.weight(stage) * entry.expected;
             row[SHOWN] += expected;
             row[UNLIT] += expected;
         }
     }
+
+    /// Splits what member `j` brings from behind its vertex `to`.
+    fn split(
+        &mut self,
+        enclosure: &InstanceEnclosure,
+        stage: usize,
+        group: &[(Group, usize)],
+        j: usize,
+        to: &Vertex,
+        stats: &mut PathStats,
+    ) {
+        let Self { members, light, layers, reach, next, .. } = self;
+        let row = &light[j * *layers..(j + 1) * *layers];
+        reach.clear();
+        for (_, k) in group {
+            stats.shadow_rays += u64::from(*k != j);
+            reach.push(members[*k].entry.reach(enclosure, stage, to, *k == j));
+        }
+        let sum: Rgb = reach.iter().sum();
+        for (n, (_, k)) in group.iter().enumerate() {
+            // Where rounding has left nothing of a step, it is that of the walk that made it.
+            let all = if *k == j { Rgb::ONE } else { Rgb::ZERO };
+            let part = Rgb::select(sum.cmpgt(Rgb::ZERO), reach[n] / sum, all);
+            if part != Rgb::ZERO {
+                let next = &mut next[n * *layers..(n + 1) * *layers];
+                next.iter_mut().zip(row).for_each(|(next, light)| *next += part * *light);
+                // Control variate: the parts of all steps from a vertex weigh as much as the walk did there.
+                let expected = part * members[j].entry.arrived(to) * members[*k].entry.expected;
+                next[SHOWN] -= expected;
+                next[UNLIT] -= expected;
+            }
+        }
+    }
+
+    fn row(&self, member: usize) -> &[Rgb] {
+        &self.light[member * self.layers..(member + 1) * self.layers]
+    }
+}
+
+impl Member {
+    /// The group of the vertex `stage`, if what is behind it is shared. Of what is behind an exit, nothing is.
+    fn group(&self, stage: usize, shift: Vec3) -> Option<Group> {
+        let entry = &self.entry;
+        if stage >= entry.most {
+            return None;
+        }
+        let (of, across) = ([entry.instance, entry.surface], entry.across());
+        if stage == 0 {
+            let side = if across < SHORT { SMALL_SIDE } else { SIDE };
+            let place = |at: i32, shift: f32| (at + (shift * side as f32) as i32).div_euclid(side);
+            return Some((of, side, [place(self.at[0], shift.x), place(self.at[1], shift.y), 0]));
+        }
+        let p = entry.vertices().get(stage - 1).filter(|vertex| vertex.exit.is_none())?.p;
+        // A size that all in the group agree on, though their pixels differ a little.
+        let log = (CELL * across * entry.footprint).log2().round();
+        let place = (p / log.exp2() + shift).floor().as_ivec3();
+        Some((of, log as i32, place.to_array()))
+    }
 }
 
 impl Entry {
-    /// The cell of the vertex `stage`, if what is behind it may be shared.
-    fn cell(&self, stage: usize, pixel: [i32; 2], shift: Vec3) -> Option<Key> {
-        if stage >= self.most as usize {
-            return None;
-        }
-        let across = self.across();
-        if stage == 0 {
-            let side = if across < env("C2", 1.5) { 2 } else { env("CN", 5.0) as i32 };
-            let at = [pixel[0] + (shift.x * 64.0) as i32, pixel[1] + (shift.y * 64.0) as i32];
-            return Some((self.instance, side, [at[0].div_euclid(side), at[1].div_euclid(side), 0]));
-        }
-        let p = self.vertices().get(stage - 1).filter(|vertex| vertex.exit.is_none())?.p;
-        let log = (env("CW", 2.0) * across * self.footprint).log2().round();
-        let at = (p / log.exp2() + shift).floor().as_ivec3();
-        Some((self.instance, log as i32, at.to_array()))
-    }
-
     /// Weight with which a walk goes on from the vertex `stage`.
-    fn scattered(&self, stage: usize) -> Rgb {
-        match stage {
-            0 => Rgb::ONE,
-            _ => self.vertices()[stage - 1].weight * self.medium.albedo,
-        }
+    fn weight(&self, stage: usize) -> Rgb {
+        if stage == 0 { Rgb::ONE } else { self.vertices()[stage - 1].weight }
     }
 
-    /// A_k F_k: what comes from the vertex `stage` to `to`; `own`: the walk did go there. A factor that all walks have in common is left out.
+    /// Weight with which it arrives at `to`, before a collision takes its part.
+    fn arrived(&self, to: &Vertex) -> Rgb {
+        let albedo = self.medium.albedo;
+        let scatters = to.exit.is_none();
+        if scatters { Rgb::select(albedo.cmpgt(Rgb::ZERO), to.weight / albedo, Rgb::ZERO) } else { to.weight }
+    }
+
+    /// A_k F_k of a step from the vertex `stage` to `to`, but for what all steps there have in common; `own`: the walk made it.
     fn reach(&self, enclosure: &InstanceEnclosure, stage: usize, to: &Vertex, own: bool) -> Rgb {
         let from = if stage == 0 { self.start.p } else { self.vertices()[stage - 1].p };
-        let way = to.p - from;
-        let squared = way.length_squared();
+        let squared = from.distance_squared(to.p);
         let t = squared.sqrt();
-        let d = if own && stage == 0 { self.start.d } else { way / t };
+        let d = if own && stage == 0 { self.start.d } else { (to.p - from) / t };
         let leaving = if stage == 0 { entering(d, self.normal, self.start.normal) } else { 1.0 };
-        let arriving = to.exit.map_or(1.0, |n| d.dot(n).abs());
-        let geometry = leaving * arriving / squared;
+        let geometry = leaving * to.exit.map_or(1.0, |n| d.dot(n).abs()) / squared;
         if !(geometry > 0.0 && geometry.is_finite()) {
             return Rgb::ZERO;
         }
-        // A channel that is not carried in is not measured.
+        // Of a channel that a path does not carry it brings nothing, wherever it goes.
         let carried = self.throughput.cmpgt(Rgb::ZERO);
-        let weight = if stage == 0 { Rgb::ONE } else { self.vertices()[stage - 1].weight };
-        let reach = Rgb::select(carried, weight * self.medium.transmittance(t) * geometry, Rgb::ZERO);
-        if own {
-            return reach;
-        }
+        let reach = self.weight(stage) * self.medium.transmittance(t) * geometry;
+        let reach = Rgb::select(carried, reach, Rgb::ZERO);
+        if own || self.sees(enclosure, stage, from, d, to, t) { reach } else { Rgb::ZERO }
+    }
+
+    /// Whether nothing is between the vertex `stage`, `from`, and `to`, `t` along `d`: by the walk's own rules.
+    fn sees(&self, enclosure: &InstanceEnclosure, stage: usize, from: Vec3, d: Vec3, to: &Vertex, t: f32) -> bool {
         let t = if to.exit.is_some() { t - MARGIN * enclosure.position_error() } else { t };
-        let blocked = if stage == 0 {
-            !matches!(Steps::new(enclosure, Start { d, ..self.start }).advance(d, t), Step::Collision)
-        } else {
-            enclosure.cast(from, d, t, None).is_some()
-        };
-        if blocked { Rgb::ZERO } else { reach }
+        if stage > 0 {
+            return enclosure.cast(from, d, t, None).is_none();
+        }
+        matches!(Steps::new(enclosure, Start { d, ..self.start }).advance(d, t), Step::Collision)
     }
 }
 
-pub(super) fn env(name: &'static str, d: f32) -> f32 {
-    use std::sync::OnceLock;
-    static V: OnceLock<std::collections::HashMap<String, f32>> = OnceLock::new();
-    let v = V.get_or_init(|| std::env::vars().filter_map(|(k, v)| Some((k, v.parse().ok()?))).collect());
-    v.get(name).copied().unwrap_or(d)
-}
-
-/// pi times the density of directions that enter along `d`: cosine to the shading normal, mirrored at the surface where
-/// that does not get in.
+/// pi times the density of directions that enter along `d`: the cosine to the shading `normal`, mirrored at the surface where that
+/// does not get in.
 fn entering(d: Vec3, normal: Vec3, ng: Vec3) -> f32 {
     let cos = d.dot(ng);
     if cos > 0.0 {

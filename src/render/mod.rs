@@ -7,6 +7,7 @@ mod bodies;
 mod checkpoint;
 mod journal;
 mod pass;
+mod tile;
 mod training;
 
 pub use adaptive::Adaptive;

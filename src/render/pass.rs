@@ -1,19 +1,12 @@
 //! Passes over the tiles of a film: each renders some samples of every pixel, and what its walks teach is merged in the
 //! order of the tiles.
 
+use super::tile::TilePass;
 use super::{Run, locked};
-use crate::film::{Film, Tile};
-use crate::flat::{PRIMVAR_AOV, RenderSettings};
-use crate::guiding::Guide;
+use crate::film::Film;
+use crate::flat::RenderSettings;
 use crate::guiding::statistics::Statistics;
-use crate::film::Sample;
-use crate::integrator::{PathSettings, PathStats, Shared, WalkLog, trace};
-use crate::math::Rgb;
-use crate::sampling::sampler::Sampler;
-use crate::scene::Scene;
-use glam::Vec2;
 use std::collections::BTreeMap;
-use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError, RwLock};
 
@@ -147,90 +140,10 @@ impl Run<'_> {
         let begin = schedule.offset + at.done;
         let mut tile = locked(&film.tiles[i]);
         let samples = begin..begin + count;
-        let (stats, seen) = render_tile(self.scene, &self.guide, self.settings, schedule.seed, &mut tile, samples);
+        let (stats, seen) =
+            TilePass::new(self.scene, &self.guide, self.settings, schedule.seed, &mut tile).render(samples);
         self.progress.add(&stats);
         locked(&at.merger).add(i, seen);
         self.note(u64::from(count));
     }
-}
-
-fn render_tile(
-    scene: &Scene,
-    guide: &Guide,
-    settings: &RenderSettings,
-    seed: u32,
-    tile: &mut Tile,
-    samples: Range<u32>,
-) -> (PathStats, Statistics) {
-    let mut stats = PathStats::default();
-    let mut log = WalkLog::default();
-    let path =
-        PathSettings { max_depth: settings.max_depth, lights_visible_to_camera: settings.lights_visible_to_camera };
-    let lens = scene.camera.has_depth_of_field();
-    // A pilot has none.
-    let shown = settings.aovs.iter().filter(|_| tile.shows_primvars());
-    let primvars: Vec<&str> = shown.filter_map(|aov| aov.strip_prefix(PRIMVAR_AOV)).collect();
-    let n = (tile.width * tile.height) as usize;
-    let (light_aovs, lobe_aovs) = (tile.light_aovs(), tile.lobe_aovs());
-    log.shares = settings.reuse > 0 && scene.frozen.is_some();
-    log.most = settings.reuse;
-    let mut shared = Shared::default();
-    let mut of_sample: Vec<Sample> = Vec::with_capacity(n);
-    let mut lights = vec![Rgb::ZERO; n * light_aovs];
-    let mut lobes = vec![Rgb::ZERO; n * lobe_aovs];
-    for s in samples {
-        of_sample.clear();
-        shared.clear(light_aovs + lobe_aovs);
-        for i in 0..n {
-            let (x, y) = (tile.x0 + (i as u32 % tile.width) as i32, tile.y0 + (i as u32 / tile.width) as i32);
-            // A crop renders the pixels of the whole.
-            let pixel = scene.camera.pixel_number(x, y);
-            let mut sampler = Sampler::new(seed, pixel, s);
-            let u_filter = sampler.next_2d();
-            let u_lens = if lens { sampler.next_2d() } else { sampler.skip_2d() };
-            let raster = Vec2::new(x as f32 + 0.5 + tent(u_filter.x), y as f32 + 0.5 + tent(u_filter.y));
-            let time = scene.frozen.unwrap_or_else(|| sampler.time());
-            let ray = scene.camera.ray(raster, u_lens, time);
-            let lights = &mut lights[i * light_aovs..(i + 1) * light_aovs];
-            let lobes = &mut lobes[i * lobe_aovs..(i + 1) * lobe_aovs];
-            let mut sample = trace(scene.at(time), guide, path, ray, &mut sampler, &mut stats, &mut log, lights, lobes);
-            if let Some(surface) = sample.surface.filter(|_| tile.watches_motion()) {
-                sample.motion = scene.motion_vector(&surface);
-            }
-            of_sample.push(sample);
-            if let Some(entry) = log.entry.take() {
-                shared.push(i, [x, y], entry, &log.layers);
-            }
-            if let Some(surface) = sample.surface.filter(|_| !primvars.is_empty()) {
-                tile.add_primvars(i, primvars.iter().map(|name| scene.primvar_at(&surface, name)));
-            }
-            if let Some(walk) = log.first.take() {
-                tile.add_walk(i, sample.first.depth, &walk);
-            }
-        }
-        if log.shares {
-            let mut place = Sampler::new(seed ^ 0x51ab_3c77, 0, s);
-            let shift = glam::Vec3::new(place.random(), place.random(), place.random());
-            shared.hand_out(scene.at(scene.frozen.unwrap()), shift, &mut stats, |i, shown, unlit, aovs| {
-                of_sample[i].subsurface += shown;
-                let (groups, of_lobes) = aovs.split_at(light_aovs);
-                let mine = &mut lights[i * light_aovs..(i + 1) * light_aovs];
-                mine.iter_mut().zip(groups).for_each(|(sum, light)| *sum += *light);
-                scene.lights.share_out(mine, unlit);
-                let mine = &mut lobes[i * lobe_aovs..(i + 1) * lobe_aovs];
-                mine.iter_mut().zip(of_lobes).for_each(|(sum, light)| *sum += *light);
-            });
-        }
-        for (i, sample) in of_sample.iter().enumerate() {
-            tile.add(i, sample);
-            tile.add_lights(i, &lights[i * light_aovs..(i + 1) * light_aovs]);
-            tile.add_lobes(i, &lobes[i * lobe_aovs..(i + 1) * lobe_aovs]);
-        }
-    }
-    (stats, log.statistics)
-}
-
-/// Pixel filter by importance sampling: a tent of radius 1 pixel, so that samples stay in their pixel's sum.
-fn tent(u: f32) -> f32 {
-    if u < 0.5 { (2.0 * u).sqrt() - 1.0 } else { 1.0 - (2.0 - 2.0 * u).sqrt() }
 }

@@ -36,7 +36,7 @@ DERMIS_SETTINGS: dict[str, Any] = {
     "exitLights": "auto",
     "refractedLight": "auto",
     "guideExits": True,
-    "reuse": 0,
+    "sharedPaths": "auto",
     "cacheFill": "surface",
     "cacheResolution": 0,
     "subsurfaceBoundary": "auto",
