@@ -17,12 +17,12 @@ const MOST: usize = 4;
 const WIDE: f32 = 8.0;
 
 /// Mean free paths in pixels below which pixels have nothing to share.
-const NARROW: f32 = 0.3;
+const NARROW: f32 = 0.7;
 
 /// Variance of a walk over its squared mean above which sharing pays where a mean free path is [`FEW`] pixels: what pixels
 /// get from each other varies by itself. Where it is longer there is more to share.
 const NOISY: f32 = 2.0;
-const FEW: f32 = 1.5;
+const FEW: f32 = 1.0;
 
 /// The same below which what is expected is subtracted from what is shared: of more noise it is no great part, and walks that bring
 /// nothing need not be handed out then.
@@ -73,9 +73,10 @@ impl Entry {
         &self.vertices[..self.count]
     }
 
-    /// Mean free path of the clearest channel, in pixels.
+    /// Mean free path in pixels: the geometric mean of the channels, since all are judged alike.
     pub(super) fn across(&self) -> f32 {
-        (self.medium.sigma_t.min_element() * self.footprint).recip()
+        let sigma_t = self.medium.sigma_t;
+        (sigma_t.x * sigma_t.y * sigma_t.z).cbrt().recip() / self.footprint
     }
 
     /// Takes in what is known of the walks that start here.

@@ -20,7 +20,7 @@ const UNLIT: usize = 1;
 const AOVS: usize = 2;
 
 /// Side in pixels of a group of entries, and where a mean free path is less than [`SHORT`] pixels.
-const SIDE: i32 = 6;
+const SIDE: i32 = 4;
 const SMALL_SIDE: i32 = 2;
 const SHORT: f32 = 1.5;
 

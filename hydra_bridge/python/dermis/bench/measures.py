@@ -120,15 +120,23 @@ def flip(shown: NDArray[np.float32], reference: NDArray[np.float32], mask: Mask 
     return float(picked(errors[..., 0], mask).mean(dtype=np.float64))
 
 
-def bias(image: Array, reference: Array) -> list[float]:
+#: Pixels along the side of the blocks that are taken to be independent: neighbours may share paths.
+BLOCK = 8
+
+
+def bias(image: Array, reference: Array, mask: Mask = None) -> list[float]:
     """z per channel: the crop's mean of I - R over its standard error; `image` the mean of the seeds.
 
-    Pixels are independent, so the differences themselves tell the error of their sum. It contains the reference's
-    noise and needs no variance; a tail that is not yet sampled makes it err towards 0.
+    Blocks of pixels are independent, so their differences themselves tell the error of the sum. It contains the
+    reference's noise and needs no variance; a tail that is not yet sampled makes it err towards 0.
     """
-    difference = (image - reference).reshape(-1, image.shape[-1])
-    spread = np.sqrt((difference**2).sum(axis=0))
-    return [float(s / e) if e > 0.0 else 0.0 for s, e in zip(difference.sum(axis=0), spread, strict=True)]
+    difference = image - reference if mask is None else np.where(mask[..., None], image - reference, 0.0)
+    rows, columns = (np.arange(0, n, BLOCK) for n in difference.shape[:2])
+    sums = np.add.reduceat(np.add.reduceat(difference, rows, axis=0), columns, axis=1).reshape(
+        -1, image.shape[-1]
+    )
+    spread = np.sqrt((sums**2).sum(axis=0))
+    return [float(s / e) if e > 0.0 else 0.0 for s, e in zip(sums.sum(axis=0), spread, strict=True)]
 
 
 def bias_threshold(tests: int) -> float:

@@ -90,7 +90,7 @@ class Cell:
         self.renders.append({**measured, **cost_of(rendered)})
 
     def bias_of(self, image: Array) -> list[float]:
-        return bias(picked(image, self.mask), picked(self.reference, self.mask))
+        return bias(image, self.reference, self.mask)
 
     def flip_of(self, image: Array) -> float | None:
         if self._transform is None:

@@ -1,0 +1,166 @@
+"""Pixels that share paths through a body: same means, less noise, all layers with them.
+
+Neighbouring pixels are not independent then, so errors are those between seeds."""
+
+import functools
+
+import numpy as np
+import pytest
+
+pytest.importorskip("dermis._core", reason="the Rust core is not built")
+
+from stability.rendering import load
+from stability.scenes import box, camera, dome, flipped, joined, light, medium, move, placed, sphere
+
+EYE = camera((0, 0, 8), 12.0)
+SIZE = 16
+
+
+def lit(*bodies, **lights):
+    """Bodies of wax lit by a small light from behind and aside: what comes through is noisy."""
+    lamp = light("sphere", move(2.0, 2.5, -3.0), 60.0, radius=0.1)
+    named = {f"/O{i}": body for i, body in enumerate(bodies)}
+    return {**named, "/C": EYE, "/L0": lamp, **lights}
+
+
+def wax(albedo, radius):
+    return lit(sphere(24, 0.8), **{"/M": medium(albedo, radius)})
+
+
+def sheet():
+    """One path in three crosses it without a collision."""
+    return lit(box((-0.9, -0.9, -0.1), (0.9, 0.9, 0.1)), **{"/M": medium((0.9, 0.8, 0.5), 0.2)})
+
+
+def two_media():
+    """Neighbours of another medium have nothing to give."""
+    other = {**placed(sphere(16, 0.5), move(0.55, 0.0, 0.3)), "material": "/N"}
+    media = {"/M": medium((0.99, 0.9, 0.8), (0.3, 0.1, 0.05)), "/N": medium((0.5, 0.9, 0.99), 0.2)}
+    return lit(placed(sphere(16, 0.5), move(-0.45, 0.0, 0.0)), other, **media)
+
+
+def hollow():
+    """What leaves it comes in again, and a wall within is in the way from vertex to vertex."""
+    return lit(joined(sphere(16, 0.8), flipped(sphere(16, 0.6))), **{"/M": medium(0.95, 0.1)})
+
+
+SCENES = {
+    "skin": lambda: wax((0.99, 0.9, 0.8), (0.2, 0.08, 0.04)),
+    "clear": lambda: wax((0.95, 0.9, 0.7), 1.5),
+    "one channel absorbs": lambda: wax((0.98, 0.5, 0.0), (0.2, 0.2, 0.4)),
+    "dense": lambda: wax((0.999, 0.95, 0.9), (0.04, 0.02, 0.01)),
+    "sheet": sheet,
+    "two media": two_media,
+    "hollow": hollow,
+}
+
+
+def pictures(prims, seeds, aovs=(), **settings):
+    delegate = load(prims)
+    made = []
+    for seed in seeds:
+        delegate.set_settings(camera="/C", resolution=[SIZE, SIZE], seed=seed, aovs=list(aovs), **settings)
+        delegate.commit()
+        delegate.start()
+        assert delegate.wait(120.0)
+        made.append(delegate.snapshot())
+    return made
+
+
+def means(prims, seeds, **settings):
+    """By seed and channel."""
+    seen = pictures(prims, seeds, **settings)
+    return np.stack([picture["color"][..., :3].astype(np.float64).mean(axis=(0, 1)) for picture in seen])
+
+
+def z(a, b):
+    """By channel, from values by seed."""
+    return (a.mean(0) - b.mean(0)) / np.hypot(
+        a.std(0, ddof=1) / len(a) ** 0.5, b.std(0, ddof=1) / len(b) ** 0.5
+    )
+
+
+@functools.cache
+def unshared(scene):
+    return means(SCENES[scene](), range(100, 124), samples=128, walk="classical", sharedPaths="off")
+
+
+@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("walk", ["classical", "mixture"])
+def test_means_are_those_of_paths_that_nobody_shares(scene, walk):
+    plain = unshared(scene)
+    shared = means(SCENES[scene](), range(24), samples=64, walk=walk, sharedPaths="on")
+    # 42 numbers, t with some 40 degrees of freedom: 4.5 is exceeded once in 400 runs.
+    assert np.abs(z(plain, shared)).max() < 4.5
+    error = np.hypot(plain.std(0, ddof=1), shared.std(0, ddof=1)) / len(shared) ** 0.5 / plain.mean(0)
+    assert error[0] < 0.015, "7 % would not be seen"
+
+
+def test_a_furnace_stays_white():
+    """Every path brings 1 there, whoever has it."""
+    prims = {
+        "/O": sphere(16, 0.8),
+        "/M": medium(1.0, 0.3),
+        "/C": camera((0, 0, 8), 9.0),
+        "/L0": dome(1.0),
+    }
+    seen = means(prims, range(12), samples=64, walk="classical", sharedPaths="on")
+    error = seen.std(0, ddof=1) / len(seen) ** 0.5
+    assert (np.abs(seen.mean(0) - 1.0) < 4.5 * error + 1e-5).all()
+    assert error.max() < 2e-3
+
+
+@pytest.mark.parametrize("scene", ["skin", "clear"])
+def test_it_takes_noise_away(scene):
+    prims = SCENES[scene]()
+
+    def noise(word):
+        seen = pictures(prims, range(8), samples=16, walk="mixture", sharedPaths=word)
+        stack = np.stack([picture["color"][..., 0].astype(np.float64) for picture in seen])
+        return stack.var(axis=0, ddof=1).mean()
+
+    assert noise("on") < 0.6 * noise("off")
+
+
+def test_layers_share_with_the_picture():
+    other = {"/L1": light("sphere", move(-2.0, 0.5, 2.0), 5.0, radius=0.2)}
+    prims = {**SCENES["skin"](), **other}
+    aovs = ["light_L0", "light_L1", "direct", "indirect", "subsurface", "diffuse", "specular", "emission"]
+    for walk in ("classical", "mixture"):
+        seen = pictures(prims, [3], aovs, samples=32, walk=walk, sharedPaths="on")[0]
+        color = seen["color"][..., :3].astype(np.float64)
+
+        def together(names, seen=seen):
+            return sum(seen[name].astype(np.float64) for name in names)
+
+        atol = 2e-5 * color.max()
+        np.testing.assert_allclose(together(["light_L0", "light_L1"]), color, atol=atol)
+        np.testing.assert_allclose(together(["direct", "indirect", "subsurface"]), color, atol=atol)
+        np.testing.assert_allclose(together(["diffuse", "specular", "subsurface"]), color, atol=atol)
+
+
+def test_any_number_of_threads():
+    prims = SCENES["skin"]()
+    one, two = (
+        pictures(prims, [5], samples=24, walk="mixture", sharedPaths="on", threads=threads)[0]
+        for threads in (1, 2)
+    )
+    np.testing.assert_array_equal(one["color"], two["color"])
+
+
+def test_who_shares_and_who_does_not():
+    def why(prims, **settings):
+        delegate = load(prims)
+        delegate.set_settings(camera="/C", resolution=[SIZE, SIZE], samples=1, aovs=[], **settings)
+        delegate.commit()
+        delegate.start()
+        assert delegate.wait(60.0)
+        return [medium["why"] for medium in delegate.stats()["guide"]["media"]]
+
+    shares = "neighbouring pixels share its paths"
+    skin = SCENES["skin"]()
+    assert all(shares in text for text in why(skin))
+    assert not any(shares in text for text in why(skin, walk="mixture"))
+    assert not any(shares in text for text in why(skin, sharedPaths="off"))
+    assert not any(shares in text for text in why(skin, subsurfaceBoundary="dielectric"))
+    assert not any(shares in text for text in why({**skin, "/M": medium(0.9, 0.2, subsurfaceAnisotropy=0.5)}))
