@@ -93,7 +93,7 @@ def test_means_are_those_of_paths_that_nobody_shares(scene, walk):
     # 42 numbers, t with some 40 degrees of freedom: 4.5 is exceeded once in 400 runs.
     assert np.abs(z(plain, shared)).max() < 4.5
     error = np.hypot(plain.std(0, ddof=1), shared.std(0, ddof=1)) / len(shared) ** 0.5 / plain.mean(0)
-    assert error[0] < 0.015, "7 % would not be seen"
+    assert error[0] < 0.02, "9 % would not be seen"
 
 
 def test_a_furnace_stays_white():
