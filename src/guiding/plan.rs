@@ -132,7 +132,13 @@ fn is_alone_somewhere(scene: &Scene, of: &Instance) -> bool {
 }
 
 fn plan(settings: &RenderSettings, interior: &Interior, thickness: f32, lit: bool) -> Plan {
-    let asked = |walk, exact| Plan { walk, exact, bends: false, shares: false, why: format!("walk={} asked for", settings.walk) };
+    let asked = |walk, exact| Plan {
+        walk,
+        exact,
+        bends: false,
+        shares: false,
+        why: format!("walk={} asked for", settings.walk),
+    };
     if !interior.medium.scatters() {
         return Plan {
             walk: Walk::Classical,
@@ -169,5 +175,11 @@ fn automatic(interior: &Interior, thickness: f32, lit: bool, exact: bool) -> Pla
             "{depth:.0} mean free paths across behind a dielectric: walks are too short for guiding to pay"
         ));
     }
-    Plan { walk: Walk::Mixture, exact, bends: false, shares: false, why: format!("{depth:.0} mean free paths across, lit") }
+    Plan {
+        walk: Walk::Mixture,
+        exact,
+        bends: false,
+        shares: false,
+        why: format!("{depth:.0} mean free paths across, lit"),
+    }
 }

@@ -14,7 +14,7 @@ use glam::Vec3;
 const MOST: usize = 4;
 
 /// Mean free paths in pixels above which the first vertex is enough, and collisions too far apart to be of use to each other.
-const WIDE: f32 = 8.0;
+pub(super) const WIDE: f32 = 8.0;
 
 /// Mean free paths in pixels below which pixels have nothing to share.
 const NARROW: f32 = 0.7;

@@ -2,8 +2,8 @@
 
 use super::bent::{Bent, Refracted};
 use super::collision::{CollisionLight, Into};
-use super::leave::Begun;
 use super::entry::Entry;
+use super::leave::Begun;
 use super::nest::Nest;
 use super::watch::drawn;
 use super::{Path, Previous};

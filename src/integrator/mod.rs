@@ -20,8 +20,8 @@ mod wade;
 mod watch;
 
 pub use log::WalkLog;
-pub use reuse::Shared;
 pub use probe::{LIGHTS as PROBED_LIGHTS, beams_at, probe};
+pub use reuse::Shared;
 
 use crate::bsdf::Response;
 use crate::camera::CameraRay;

@@ -8,7 +8,7 @@
 //! the x_k are, before anything is known of x, so that each step keeps the expectation of what is behind x_k.
 
 use super::PathStats;
-use super::entry::{Entry, Vertex};
+use super::entry::{Entry, Vertex, WIDE};
 use crate::math::Rgb;
 use crate::scene::{InstanceEnclosure, Moment};
 use crate::subsurface::steps::{Enclosure, Start, Step, Steps};
@@ -19,10 +19,14 @@ const SHOWN: usize = 0;
 const UNLIT: usize = 1;
 const AOVS: usize = 2;
 
-/// Side in pixels of a group of entries, and where a mean free path is less than [`SHORT`] pixels.
-const SIDE: i32 = 4;
-const SMALL_SIDE: i32 = 2;
-const SHORT: f32 = 1.5;
+/// Side in pixels of a group of entries whose mean free path is so many pixels: all see much the same, few do, or some.
+fn side(across: f32) -> i32 {
+    match across {
+        _ if across > WIDE => 7,
+        _ if across < 1.5 => 2,
+        _ => 4,
+    }
+}
 
 /// Side in mean free paths of the cell of a group of collisions.
 const CELL: f32 = 2.0;
@@ -174,7 +178,7 @@ impl Member {
         }
         let (of, across) = ([entry.instance, entry.surface], entry.across());
         if stage == 0 {
-            let side = if across < SHORT { SMALL_SIDE } else { SIDE };
+            let side = side(across);
             let place = |at: i32, shift: f32| (at + (shift * side as f32) as i32).div_euclid(side);
             return Some((of, side, [place(self.at[0], shift.x), place(self.at[1], shift.y), 0]));
         }

@@ -21,7 +21,6 @@ from .measures import (
     measure,
     noise_map,
     number,
-    picked,
     slope,
 )
 from .render import Render
