@@ -57,7 +57,7 @@ pub struct Onward {
     pub worth: f32,
     /// Expected value of a walk.
     pub expected: Rgb,
-    /// Variance of a walk, over its squared mean; 0: not known.
+    /// Variance of a walk, over its squared mean; infinite: not known.
     pub noise: f32,
 }
 

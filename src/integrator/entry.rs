@@ -8,7 +8,7 @@ use crate::medium::Medium;
 use crate::scene::BoundaryHit;
 use crate::subsurface::steps::Start;
 use crate::subsurface::technique::{GuidedMedium, PerTechnique, TECHNIQUES};
-use glam::Vec3;
+use glam::{BVec3, Vec3};
 
 /// Most vertices behind the entry that are noted: each is a mean free path farther from the entry, and costs a sum over techniques.
 const MOST: usize = 4;
@@ -28,13 +28,22 @@ const FEW: f32 = 1.0;
 /// nothing need not be handed out then.
 const QUIET: f32 = 3.0;
 
+/// What a walk does at a vertex.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Kind {
+    Collides,
+    /// Comes out: unit normal, on its way.
+    Leaves(Vec3),
+    /// Ends without light, outside of a boundary that it has not crossed.
+    Leaks,
+}
+
 /// A vertex of a walk.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Vertex {
     /// Walk space.
     pub p: Vec3,
-    /// Outward normal, unit, where the walk comes out; `None`: it collides.
-    pub exit: Option<Vec3>,
+    pub kind: Kind,
     /// f / pdf of what leads there from the entry, the albedo of a collision included.
     pub weight: Rgb,
 }
@@ -79,6 +88,11 @@ impl Entry {
         (sigma_t.x * sigma_t.y * sigma_t.z).cbrt().recip() / self.footprint
     }
 
+    /// Channels that the path carried in: of others it brings nothing, wherever it goes.
+    pub(super) fn carried(&self) -> BVec3 {
+        self.throughput.cmpgt(Rgb::ZERO)
+    }
+
     /// Takes in what is known of the walks that start here.
     pub(super) fn know(&mut self, onward: Option<&Onward>) {
         let Some(onward) = onward else { return };
@@ -86,24 +100,34 @@ impl Entry {
         if onward.noise < noisy {
             self.most = 0;
         } else if onward.noise < QUIET {
-            // A channel that is absorbed at once has no weight to compare with.
-            self.expected = Rgb::select(self.medium.albedo.cmpgt(Rgb::ZERO), onward.expected, Rgb::ZERO);
+            // A channel that is absorbed at once has no weight to compare with, nor has one that is not carried.
+            let known = self.medium.albedo.cmpgt(Rgb::ZERO) & self.carried();
+            // Nor have walks that a clear channel may lead to no end.
+            let ends = self.medium.sigma_t.min_element() > 0.0;
+            self.expected = if ends { Rgb::select(known, onward.expected, Rgb::ZERO) } else { Rgb::ZERO };
         }
     }
 
     /// A collision at `p`, walk space.
     pub(super) fn collision(&mut self, p: Vec3, weight: Rgb, ratios: PerTechnique) {
-        self.note(Vertex { p, exit: None, weight }, ratios);
+        self.note(Vertex { p, kind: Kind::Collides, weight }, ratios);
     }
 
-    /// The end of the walk, walk space, with the normal there: noted unless collisions before it were not.
-    pub(super) fn exit(&mut self, (p, n): (Vec3, Vec3), weight: Rgb, ratios: PerTechnique) {
-        self.note(Vertex { p, exit: Some(n), weight }, ratios);
+    /// The end of the walk along `d`, walk space, with a normal there: noted unless collisions before it were not.
+    pub(super) fn exit(&mut self, (p, n): (Vec3, Vec3), d: Vec3, weight: Rgb, ratios: PerTechnique) {
+        let n = if d.dot(n) < 0.0 { -n } else { n };
+        self.note(Vertex { p, kind: Kind::Leaves(n), weight }, ratios);
+    }
+
+    /// The end of a walk that was never at the boundary: others might have ended there too.
+    pub(super) fn leak(&mut self, p: Vec3, weight: Rgb, ratios: PerTechnique) {
+        self.note(Vertex { p, kind: Kind::Leaks, weight }, ratios);
     }
 
     fn note(&mut self, vertex: Vertex, ratios: PerTechnique) {
         if self.count < self.most {
-            self.vertices[self.count] = vertex;
+            let weight = Rgb::select(self.carried(), vertex.weight, Rgb::ZERO);
+            self.vertices[self.count] = Vertex { weight, ..vertex };
             self.count += 1;
             self.ratios = ratios;
         }
@@ -116,12 +140,13 @@ impl Path<'_> {
         self.log.as_mut()?.entry.as_mut().filter(|_| first)
     }
 
-    /// Notes where the path enters a medium first.
+    /// Notes where the path enters a medium first: one that came straight through air, as those around it did.
     pub(super) fn note_entry(&mut self, si: &Interaction, start: Start<BoundaryHit>, medium: &GuidedMedium) {
-        let Some(log) = self.log.as_mut().filter(|log| log.shares) else { return };
+        let plain = self.inside.is_empty();
+        let Some(log) = self.log.as_mut().filter(|log| plain && log.shares && log.is_empty()) else { return };
         log.layers.clear();
         log.layers.extend(self.groups.iter().chain(&*self.lobes));
-        let nowhere = Vertex { p: start.p, exit: None, weight: Rgb::ZERO };
+        let nowhere = Vertex { p: start.p, kind: Kind::Collides, weight: Rgb::ZERO };
         let mut entry = Entry {
             instance: si.instance,
             surface: si.surface,
@@ -158,6 +183,15 @@ impl Path<'_> {
             let before = *apart;
             *apart = *own - before;
             *own = before;
+        }
+    }
+
+    /// Nothing can be said of what the path brought.
+    pub(super) fn set_nothing_apart(&mut self) {
+        let Some(log) = self.log.as_mut() else { return };
+        log.layers.fill(Rgb::ZERO);
+        if let Some(entry) = &mut log.entry {
+            (entry.brought, entry.correction) = (Rgb::ZERO, Rgb::ZERO);
         }
     }
 }

@@ -24,6 +24,8 @@ struct Logged {
     bucket: Bucket,
     /// The first walk behind a camera ray: control variates are for these, and what they need is learned from them.
     first: bool,
+    /// Its correction is the entry's.
+    shared: bool,
     /// Subtracted from the estimate per unit of throughput.
     correction: Rgb,
     /// Cost of what was done before it.
@@ -60,6 +62,13 @@ pub struct WalkLog {
     exits: Vec<Exited>,
 }
 
+impl WalkLog {
+    /// Whether no walk of the path under way is noted.
+    pub(super) fn is_empty(&self) -> bool {
+        self.walks.is_empty()
+    }
+}
+
 impl Path<'_> {
     /// Notes a walk that started with `throughput` when the path had brought `before`; its place, if it is noted.
     pub(super) fn log_walk(
@@ -91,6 +100,7 @@ impl Path<'_> {
                 before,
                 bucket,
                 first,
+                shared: entry.is_some(),
                 correction,
                 spent,
                 ways,
@@ -136,7 +146,7 @@ impl Path<'_> {
             sums.add(exited.direction, exited.pdf, brought);
         }
         for walk in log.walks.drain(logged[0]..) {
-            match log.entry.as_mut().filter(|_| walk.first) {
+            match log.entry.as_mut().filter(|_| walk.shared) {
                 Some(entry) => entry.correction = walk.correction,
                 None => {
                     add_to(&mut self.sample, walk.bucket, -walk.throughput * walk.correction);

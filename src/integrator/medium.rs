@@ -247,9 +247,9 @@ impl<'a> Path<'a> {
         self.aim = visitor.into.aim;
         self.stats.shadow_rays += shadow_rays;
         if let Some(entry) = self.entry(passage.first) {
-            if let WalkEnd::Boundary { hit, .. } = end.end {
+            if let WalkEnd::Boundary { hit, d, .. } = end.end {
                 let at = (passage.enclosure.point(&hit), passage.enclosure.normal(&hit));
-                entry.exit(at, end.densities.weight(), end.densities.ratios());
+                entry.exit(at, d, end.densities.weight(), end.densities.ratios());
             }
         }
         if logs {
@@ -334,9 +334,9 @@ impl<'a> Path<'a> {
         let ahead = passage.bent.is_some();
         let end = walk(enclosure, medium, slab, start, ahead, sampler, stats, late, collide);
         self.aim = into.aim;
-        if let (Some(entry), WalkEnd::Boundary { hit, weight, .. }) = (self.entry(passage.first), &end) {
+        if let (Some(entry), WalkEnd::Boundary { hit, d, weight, .. }) = (self.entry(passage.first), &end) {
             let at = (passage.enclosure.point(hit), passage.enclosure.normal(hit));
-            entry.exit(at, *weight / start.weight, PerTechnique::default());
+            entry.exit(at, *d, *weight / start.weight, PerTechnique::default());
         }
         if passage.first && self.guide.watched() {
             let segments = self.stats.walk.steps - segments;
@@ -402,6 +402,12 @@ impl<const LIT: bool> Visitor for Collisions<'_, LIT> {
     fn vertex(&mut self, p: Vec3, densities: &Densities) {
         if let Some(entry) = &mut self.entry {
             entry.collision(p, densities.weight(), densities.ratios());
+        }
+    }
+
+    fn leaked(&mut self, p: Vec3, densities: &Densities) {
+        if let Some(entry) = &mut self.entry {
+            entry.leak(p, densities.weight(), densities.ratios());
         }
     }
 

@@ -176,10 +176,12 @@ pub fn trace(
     }
     while path.segment(sampler).is_some() {}
     path.finish_walks();
+    let finite = path.sample.color().is_finite();
     path.set_apart();
     let sample = path.sample;
-    if !sample.color().is_finite() {
+    if !finite {
         path.stats.non_finite += 1;
+        path.set_nothing_apart();
         path.groups.fill(Rgb::ZERO);
         path.lobes.fill(Rgb::ZERO);
         return Sample { direct: Rgb::ZERO, straight: Rgb::ZERO, indirect: Rgb::ZERO, subsurface: Rgb::ZERO, ..sample };

@@ -8,7 +8,7 @@
 //! the x_k are, before anything is known of x, so that each step keeps the expectation of what is behind x_k.
 
 use super::PathStats;
-use super::entry::{Entry, Vertex, WIDE};
+use super::entry::{Entry, Kind, Vertex, WIDE};
 use crate::math::Rgb;
 use crate::scene::{InstanceEnclosure, Moment};
 use crate::subsurface::steps::{Enclosure, Start, Step, Steps};
@@ -69,7 +69,7 @@ impl Shared {
 
     /// The path of pixel `pixel` of the tile, `at` on the image, with the AOVs of its light.
     pub fn push(&mut self, pixel: usize, at: [i32; 2], entry: Entry, aovs: &[Rgb]) {
-        let carried = entry.throughput.cmpgt(Rgb::ZERO);
+        let carried = entry.carried();
         let per_throughput = |light: Rgb| Rgb::select(carried, light / entry.throughput, Rgb::ZERO);
         self.light.extend([per_throughput(entry.brought) - entry.correction, -entry.correction]);
         self.light.extend(aovs.iter().map(|light| per_throughput(*light)));
@@ -149,10 +149,13 @@ impl Shared {
             reach.push(members[*k].entry.reach(enclosure, stage, to, *k == j));
         }
         let sum: Rgb = reach.iter().sum();
+        // Of a channel that the walk did not carry it knows nothing.
+        let carried = members[j].entry.carried();
         for (n, (_, k)) in group.iter().enumerate() {
             // Where rounding has left nothing of a step, it is that of the walk that made it.
             let all = if *k == j { Rgb::ONE } else { Rgb::ZERO };
             let part = Rgb::select(sum.cmpgt(Rgb::ZERO), reach[n] / sum, all);
+            let part = Rgb::select(carried, part, Rgb::ZERO);
             if part != Rgb::ZERO {
                 let next = &mut next[n * *layers..(n + 1) * *layers];
                 next.iter_mut().zip(row).for_each(|(next, light)| *next += part * *light);
@@ -182,7 +185,7 @@ impl Member {
             let place = |at: i32, shift: f32| (at + (shift * side as f32) as i32).div_euclid(side);
             return Some((of, side, [place(self.at[0], shift.x), place(self.at[1], shift.y), 0]));
         }
-        let p = entry.vertices().get(stage - 1).filter(|vertex| vertex.exit.is_none())?.p;
+        let p = entry.vertices().get(stage - 1).filter(|vertex| vertex.kind == Kind::Collides)?.p;
         // A size that all in the group agree on, though their pixels differ a little.
         let log = (CELL * across * entry.footprint).log2().round();
         let place = (p / log.exp2() + shift).floor().as_ivec3();
@@ -199,8 +202,10 @@ impl Entry {
     /// Weight with which it arrives at `to`, before a collision takes its part.
     fn arrived(&self, to: &Vertex) -> Rgb {
         let albedo = self.medium.albedo;
-        let scatters = to.exit.is_none();
-        if scatters { Rgb::select(albedo.cmpgt(Rgb::ZERO), to.weight / albedo, Rgb::ZERO) } else { to.weight }
+        match to.kind {
+            Kind::Leaves(_) => to.weight,
+            _ => Rgb::select(albedo.cmpgt(Rgb::ZERO), to.weight / albedo, Rgb::ZERO),
+        }
     }
 
     /// A_k F_k of a step from the vertex `stage` to `to`, but for what all steps there have in common; `own`: the walk made it.
@@ -210,24 +215,23 @@ impl Entry {
         let t = squared.sqrt();
         let d = if own && stage == 0 { self.start.d } else { (to.p - from) / t };
         let leaving = if stage == 0 { entering(d, self.normal, self.start.normal) } else { 1.0 };
-        let geometry = leaving * to.exit.map_or(1.0, |n| d.dot(n).abs()) / squared;
+        let arriving = if let Kind::Leaves(n) = to.kind { d.dot(n).max(0.0) } else { 1.0 };
+        let geometry = leaving * arriving / squared;
         if !(geometry > 0.0 && geometry.is_finite()) {
             return Rgb::ZERO;
         }
-        // Of a channel that a path does not carry it brings nothing, wherever it goes.
-        let carried = self.throughput.cmpgt(Rgb::ZERO);
         let reach = self.weight(stage) * self.medium.transmittance(t) * geometry;
-        let reach = Rgb::select(carried, reach, Rgb::ZERO);
+        let reach = Rgb::select(self.carried(), reach, Rgb::ZERO);
         if own || self.sees(enclosure, stage, from, d, to, t) { reach } else { Rgb::ZERO }
     }
 
     /// Whether nothing is between the vertex `stage`, `from`, and `to`, `t` along `d`: by the walk's own rules.
     fn sees(&self, enclosure: &InstanceEnclosure, stage: usize, from: Vec3, d: Vec3, to: &Vertex, t: f32) -> bool {
-        let t = if to.exit.is_some() { t - MARGIN * enclosure.position_error() } else { t };
+        let t = if matches!(to.kind, Kind::Leaves(_)) { t - MARGIN * enclosure.position_error() } else { t };
         if stage > 0 {
             return enclosure.cast(from, d, t, None).is_none();
         }
-        matches!(Steps::new(enclosure, Start { d, ..self.start }).advance(d, t), Step::Collision)
+        !matches!(Steps::new(enclosure, Start { d, ..self.start }).advance(d, t), Step::Boundary { .. })
     }
 }
 

@@ -34,6 +34,9 @@ pub trait Visitor {
     /// Called at those, with the densities of what leads there.
     fn vertex(&mut self, _p: Vec3, _densities: &Densities) {}
 
+    /// Called where a walk ends without having met the boundary.
+    fn leaked(&mut self, _p: Vec3, _densities: &Densities) {}
+
     /// The slab normal of lane 0 where it is only known at the first collision, `p`. Called once per walk.
     fn late_normal(&mut self, _p: Vec3) -> Option<Vec3> {
         None
@@ -93,7 +96,11 @@ pub fn walk_mixture<E: Enclosure, V: Visitor>(
                 let end = WalkEnd::Boundary { hit, p: steps.p + t * d, d, weight, scattered };
                 return MixtureEnd { end, technique: drawn, densities };
             }
-            Step::Leaked => return walk.leak(t, stats),
+            Step::Leaked => {
+                let end = walk.leak(t, stats);
+                visitor.leaked(steps.p, &end.densities);
+                return end;
+            }
             Step::Collision => walk.travel(t),
         }
         walk.prefix.collisions += 1;

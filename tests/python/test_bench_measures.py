@@ -75,10 +75,10 @@ def test_bias_by_hand_and_its_threshold():
     by_block = np.array([[[1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0]]])
     image = truth + np.repeat(by_block, block, axis=1)
     # Sum over root of sum of squares: 4 / 2, 0 / 2, nothing.
-    assert measures.bias(image, truth) == [2.0, 0.0, 0.0]
+    assert measures.bias(image, truth, block=block) == [2.0, 0.0, 0.0]
     # What neighbours have in common is seen once, what is not measured not at all.
     mask = np.repeat([[True, True, False, False]], block, axis=1)
-    assert measures.bias(image, truth, mask) == [pytest.approx(math.sqrt(2.0)), 0.0, 0.0]
+    assert measures.bias(image, truth, mask, block) == [pytest.approx(math.sqrt(2.0)), 0.0, 0.0]
     # Two-sided 1 % of a normal distribution, and a hundredth of it.
     assert measures.bias_threshold(1) == pytest.approx(2.5758, abs=1e-4)
     assert measures.bias_threshold(100) == pytest.approx(3.8906, abs=1e-4)

@@ -120,18 +120,18 @@ def flip(shown: NDArray[np.float32], reference: NDArray[np.float32], mask: Mask 
     return float(picked(errors[..., 0], mask).mean(dtype=np.float64))
 
 
-#: Pixels along the side of the blocks that are taken to be independent: neighbours may share paths.
+#: Pixels along the side of the blocks that are taken to be independent where neighbours share paths.
 BLOCK = 8
 
 
-def bias(image: Array, reference: Array, mask: Mask = None) -> list[float]:
+def bias(image: Array, reference: Array, mask: Mask = None, block: int = 1) -> list[float]:
     """z per channel: the crop's mean of I - R over its standard error; `image` the mean of the seeds.
 
-    Blocks of pixels are independent, so their differences themselves tell the error of the sum. It contains the
+    Blocks of so many pixels square are independent, so their differences themselves tell the error of the sum. It contains the
     reference's noise and needs no variance; a tail that is not yet sampled makes it err towards 0.
     """
     difference = image - reference if mask is None else np.where(mask[..., None], image - reference, 0.0)
-    rows, columns = (np.arange(0, n, BLOCK) for n in difference.shape[:2])
+    rows, columns = (np.arange(0, n, block) for n in difference.shape[:2])
     sums = np.add.reduceat(np.add.reduceat(difference, rows, axis=0), columns, axis=1).reshape(
         -1, image.shape[-1]
     )

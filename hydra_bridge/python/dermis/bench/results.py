@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ..color import DisplayTransform
 from .measures import (
+    BLOCK,
     Array,
     Errors,
     Mask,
@@ -60,6 +61,8 @@ class Cell:
         self.owner = owner
         self._transform = transform
         self._stops = stops
+        #: Whether neighbouring pixels share paths.
+        self.shares = False
         self.errors: list[Errors] = []
         self.renders: list[dict[str, Any]] = []
         #: Of the first repeat.
@@ -72,6 +75,7 @@ class Cell:
         if not self.errors:
             self.image = image
         self.errors.append(errors)
+        self.shares |= any(medium["shares"] for medium in rendered.stats.get("guide", {}).get("media", []))
         self._images += image
         self._maps += error_map(image, self.reference, self.mask)
         bias_z = max(self.bias_of(image), key=abs)
@@ -89,7 +93,7 @@ class Cell:
         self.renders.append({**measured, **cost_of(rendered)})
 
     def bias_of(self, image: Array) -> list[float]:
-        return bias(image, self.reference, self.mask)
+        return bias(image, self.reference, self.mask, BLOCK if self.shares else 1)
 
     def flip_of(self, image: Array) -> float | None:
         if self._transform is None:
