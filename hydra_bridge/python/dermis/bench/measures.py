@@ -127,8 +127,8 @@ BLOCK = 8
 def bias(image: Array, reference: Array, mask: Mask = None, block: int = 1) -> list[float]:
     """z per channel: the crop's mean of I - R over its standard error; `image` the mean of the seeds.
 
-    Blocks of so many pixels square are independent, so their differences themselves tell the error of the sum. It contains the
-    reference's noise and needs no variance; a tail that is not yet sampled makes it err towards 0.
+    Blocks of so many pixels square are independent, so their differences themselves tell the error of the sum. It
+    contains the reference's noise and needs no variance; a tail that is not yet sampled makes it err towards 0.
     """
     difference = image - reference if mask is None else np.where(mask[..., None], image - reference, 0.0)
     rows, columns = (np.arange(0, n, block) for n in difference.shape[:2])
