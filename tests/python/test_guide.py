@@ -188,7 +188,8 @@ def explained(stage: str, capsys, *flags: str) -> str:
 def test_explain_names_each_medium_and_its_walk(wax, capsys):
     said = explained(wax, capsys)
     for cube in ("Left", "Right"):
-        assert f"  /World/{cube}: mixture (exact weights): 10 mean free paths across, lit\n" in said
+        shared = "neighbouring pixels share its paths"
+        assert f"  /World/{cube}: mixture (exact weights): 10 mean free paths across, lit; {shared}\n" in said
     assert "  /World/Thin: classical: 0.01 mean free paths across: most light passes" in said
     assert "  boundary cache: filled from the surface: walks in 2 media choose their slab normals" in said
     assert "  learned shares: walks in 2 media" in said

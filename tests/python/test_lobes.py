@@ -251,7 +251,7 @@ def test_guided_walks_and_small_lights():
             lamp("SphereLight").replace("0.6", "0.2"),
             lamp("SphereLight", *factors(0.25, 9.0)).replace("0.6", "0.2"),
         )
-        settings = {"samples": 4096, "aovs": ("subsurface",), "refractedLight": "on"}
+        settings = {"samples": 4096, "aovs": ("subsurface",), "refractedLight": "on", "sharedPaths": "off"}
         plain, dim = (rendered(look + BLOCK, text, seed=i, **settings) for i, text in enumerate(small))
         # All pixels see the same: their scatter is the noise of the layer, which the beauty's says nothing of.
         scatter = [image["subsurface"].reshape(-1, 3).std(0, ddof=1) / 4.0 for image in (plain, dim)]
