@@ -64,13 +64,6 @@ impl Controls {
     }
 }
 
-impl Controls {
-    /// The same for what follows a prefix with the ratios `from`, whose expectation the ratios have from there on.
-    pub fn difference(&self, ratios: &PerTechnique, from: &PerTechnique) -> Rgb {
-        Rgb::from_array([0, 1, 2].map(|c| self.beta[c].dot(ratios) - self.beta[c].dot(from)))
-    }
-}
-
 /// Covariance of the ratios times the number of walks, with the ridge on its diagonal; rows of the lower triangle.
 fn covariance(sums: &ControlSums, used: &[usize], shares: &[f32; TECHNIQUES]) -> Vec<f64> {
     let mut matrix = Vec::with_capacity(used.len() * (used.len() + 1) / 2);

@@ -87,10 +87,10 @@ impl Path<'_> {
         let place = log.walks.len();
         if place < MOST {
             let entry = log.entry.as_ref().filter(|_| first);
-            let correction = controls.filter(|_| first).map_or(Rgb::ZERO, |controls| match entry {
+            let correction = controls.filter(|_| first).map_or(Rgb::ZERO, |controls| {
                 // What leads to the last vertex that is shared is others' too: controls are for the rest.
-                Some(entry) => controls.difference(&ratios, &entry.ratios),
-                None => controls.correction(&ratios),
+                let before = entry.map_or(Rgb::ZERO, |entry| controls.correction(&entry.ratios));
+                controls.correction(&ratios) - before
             });
             let spread = (0.0, 0);
             log.walks.push(Logged {
