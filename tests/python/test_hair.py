@@ -268,7 +268,7 @@ def BasisCurves "Mass" (prepend apiSchemas = ["MaterialBindingAPI"])
     absorption = (np.log(color) / fit) ** 2
     inputs = f"float3 inputs:absorption_coefficient = {tuple(float(x) for x in absorption)}"
     image = dermis.render(
-        make_stage(world(mass, look(inputs), LIGHTS, CAMERA)), resolution=[8, 8], samples=48, maxDepth=200
+        make_stage(world(mass, look(inputs), LIGHTS, CAMERA)), resolution=[8, 8], samples=12, maxDepth=200
     )
     # Of the albedo of a mass this is a fit, not a law: no closer than a tenth.
     assert image.color[..., :3].mean((0, 1)) == pytest.approx(color, rel=0.12, abs=0.03)

@@ -37,8 +37,11 @@ def text(
 def interpolated(theta, phi, vertical=VERTICAL, horizontal=HORIZONTAL, candela=CANDELA):
     """Candela at angles in degrees, bilinear, by numpy; nothing outside of the vertical angles."""
     rows = np.array([np.interp(np.ravel(theta), vertical, row, right=0.0) for row in candela])
-    columns = zip(rows.T, np.ravel(phi), strict=True)
-    values = [np.interp(p, horizontal, row) for row, p in columns]
+    phi = np.clip(np.ravel(phi), horizontal[0], horizontal[-1])
+    left = np.clip(np.searchsorted(horizontal, phi) - 1, 0, len(horizontal) - 2)
+    part = (phi - horizontal[left]) / (horizontal[left + 1] - horizontal[left])
+    at = np.arange(phi.size)
+    values = (1.0 - part) * rows[left, at] + part * rows[left + 1, at]
     return np.reshape(values, np.shape(theta))
 
 

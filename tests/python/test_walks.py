@@ -73,17 +73,13 @@ SEEDS = itertools.count(1)
 """No two renders share a random number: a common error of theirs would count as often as there are walks."""
 
 
-def mean_of(core: Delegate, renders: int, walk: str, **settings: Any) -> Image:
-    """Mean over renders of their own seeds."""
-    pictures = []
-    for _ in range(renders):
-        core.set_settings(json.dumps({"seed": next(SEEDS), "walk": walk, **settings}))
-        core.commit()
-        core.start()
-        assert core.wait(300.0)
-        assert walks(json.loads(core.stats())) == {walk}
-        pictures.append(core.snapshot()["color"][..., :3].astype(np.float64))
-    return np.mean(pictures, axis=0)
+def picture_of(core: Delegate, walk: str, **settings: Any) -> Image:
+    core.set_settings(json.dumps({"seed": next(SEEDS), "walk": walk, **settings}))
+    core.commit()
+    core.start()
+    assert core.wait(300.0)
+    assert walks(json.loads(core.stats())) == {walk}
+    return core.snapshot()["color"][..., :3].astype(np.float64)
 
 
 def walks(stats: dict[str, Any]) -> set[str]:
@@ -104,9 +100,9 @@ def test_every_walk_shows_the_shared_stages(shared_scenes):
         core = Delegate()
         populate(core, flatten(open_stage(shared_scenes / f"{name}.usda")))
         core.set_settings(json.dumps({"resolution": [48, 48]}))
-        classical = mean_of(core, 3, samples=96, walk="classical")
+        classical = picture_of(core, samples=288, walk="classical")
         for walk, weight in ON_STAGES:
-            picture = mean_of(core, 2, samples=32, walk=walk, walkPdf=weight)
+            picture = picture_of(core, samples=64, walk=walk, walkPdf=weight)
             case = f"{name}: {walk} {weight}"
             cases.add(case)
             found |= scores(case, picture, classical)
