@@ -245,3 +245,6 @@ fn entering(d: Vec3, normal: Vec3, ng: Vec3) -> f32 {
     let mirrored = d - 2.0 * cos * ng;
     (-d.dot(normal)).max(0.0) + (-mirrored.dot(normal)).max(0.0)
 }
+
+#[cfg(test)]
+mod tests;

@@ -86,7 +86,9 @@ fn factors(entry: &Entry, stage: usize, to: &Vertex) -> Factors {
 fn score(shared: &Shared, scene: &Scene, stage: usize, shift: Vec3, scores: &mut [Scores]) {
     let mut groups = BTreeMap::<Group, Vec<&Entry>>::new();
     for member in &shared.members {
-        member.group(stage, shift).map(|group| groups.entry(group).or_default().push(&member.entry));
+        if let Some(group) = member.group(stage, shift) {
+            groups.entry(group).or_default().push(&member.entry);
+        }
     }
     for (of, entries) in groups.iter().filter(|(_, entries)| entries.len() > 1) {
         let enclosure = InstanceEnclosure::new(scene.middle(), of.0[0]);
