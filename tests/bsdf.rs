@@ -482,6 +482,46 @@ fn entry_is_a_cosine_below_the_specular_lobe() {
     assert_eq!(exit.eval(Vec3::Z), Bsdf::lambert_exit().eval(Vec3::Z));
 }
 
+/// What leaves per unit that arrives, by whether it enters, over all samples.
+fn shares(bsdf: &Bsdf) -> [f64; 2] {
+    let mut sums = [0.0; 2];
+    for i in 0..40_000 {
+        let mut sampler = Sampler::new(6, 0, i);
+        let u = sampler.next_1d();
+        let Some(s) = bsdf.sample(u, sampler.next_2d()) else { continue };
+        sums[usize::from(s.event == Event::EnterSubsurface)] += f64::from((s.f / s.pdf).x);
+    }
+    sums.map(|sum| sum / 40_000.0)
+}
+
+#[test]
+fn what_is_reflected_and_what_enters_are_the_whole() {
+    let skin = |roughness, coat| {
+        openpbr(OpenPbrSurface {
+            subsurface_weight: 0.7,
+            specular_roughness: roughness,
+            coat_weight: coat,
+            ..Default::default()
+        })
+    };
+    for (surface, mu) in [(skin(0.3, 0.0), 0.9), (skin(0.3, 0.0), 0.15), (skin(0.0, 0.0), 0.5), (skin(0.4, 0.8), 0.4)] {
+        let whole = surface.bsdf(direction(mu), Side::Outside);
+        let (reflecting, entering) = whole.parted().expect("it reflects, and is entered");
+        check_sampling("reflecting", &reflecting);
+        for wi in [direction(0.2), direction(0.6), direction(0.99)] {
+            assert_eq!(reflecting.eval(wi), whole.eval(wi));
+        }
+        let ([reflected, entered], [alone, _], [_, below]) = (shares(&whole), shares(&reflecting), shares(&entering));
+        assert!(
+            (reflected - alone).abs() < 2e-3 && (entered - below).abs() < 2e-3,
+            "{reflected} {entered}: {alone} {below}"
+        );
+    }
+    let see_through = preview(PreviewSurface { opacity: 0.5, subsurface: 1.0, ..Default::default() });
+    assert!(see_through.bsdf(direction(0.5), Side::Outside).parted().is_none());
+    assert!(glass(1.5, 0.2).bsdf(direction(0.5), Side::Outside).parted().is_none());
+}
+
 #[test]
 fn opacity_follows_its_mode() {
     let with = |mode: &str, threshold: f32, opacity: f32| {

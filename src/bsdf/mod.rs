@@ -122,6 +122,29 @@ impl Bsdf {
         self
     }
 
+    /// The lobes that reflect, and the entry into a medium with [`Boundary::Diffuse`], where there is nothing but those two: together
+    /// they are what the mixture is.
+    pub fn parted(&self) -> Option<(Self, Self)> {
+        let reflects = |c: &&Component| {
+            matches!(c.lobe, Lobe::Diffuse(_) | Lobe::StormDiffuse { .. } | Lobe::Glossy(_) | Lobe::Mirror(_))
+        };
+        let enters = |c: &&Component| c.lobe == Lobe::Subsurface;
+        let (reflecting, entering) =
+            (self.lobes().iter().filter(reflects).count(), self.lobes().iter().filter(enters).count());
+        let apart = reflecting > 0 && entering > 0 && reflecting + entering == self.len;
+        apart.then(|| (self.of(reflects), self.of(enters)))
+    }
+
+    /// The lobes of a kind alone.
+    fn of(&self, kind: impl Fn(&&Component) -> bool) -> Self {
+        let mut bsdf = Self { len: 0, ..*self };
+        for component in self.lobes().iter().filter(kind) {
+            bsdf.components[bsdf.len] = *component;
+            bsdf.len += 1;
+        }
+        bsdf.normalized()
+    }
+
     fn lobes(&self) -> &[Component] {
         &self.components[..self.len]
     }

@@ -74,6 +74,8 @@ pub struct Entry {
     pub(super) expected: Rgb,
     /// What the path had brought before it entered; then, what it brought since.
     pub(super) brought: Rgb,
+    /// Whether what it brought is no longer the path's own.
+    apart: bool,
 }
 
 impl Entry {
@@ -163,6 +165,7 @@ impl Path<'_> {
             correction: Rgb::ZERO,
             expected: Rgb::ZERO,
             brought: self.sample.subsurface,
+            apart: false,
         };
         entry.most = match entry.across() {
             across if across > WIDE => 1,
@@ -172,10 +175,11 @@ impl Path<'_> {
         log.entry = Some(entry);
     }
 
-    /// Once the path is over: what it brought since it entered is the entry's, no longer its own.
+    /// Once the path behind the entry is over: what it brought since is the entry's, no longer its own.
     pub(super) fn set_apart(&mut self) {
         let Some(log) = self.log.as_mut() else { return };
-        let Some(entry) = &mut log.entry else { return };
+        let Some(entry) = log.entry.as_mut().filter(|entry| !entry.apart) else { return };
+        entry.apart = true;
         let before = entry.brought;
         entry.brought = self.sample.subsurface - before;
         self.sample.subsurface = before;
@@ -184,6 +188,12 @@ impl Path<'_> {
             *apart = *own - before;
             *own = before;
         }
+    }
+
+    /// Whether all that the path brought is.
+    pub(super) fn is_finite(&self) -> bool {
+        let entry = self.log.as_ref().and_then(|log| log.entry.as_ref());
+        self.sample.color().is_finite() && entry.is_none_or(|entry| entry.brought.is_finite())
     }
 
     /// Nothing can be said of what the path brought.

@@ -29,7 +29,7 @@ pub(super) struct Begun {
 }
 
 /// Where a path that goes on in several ways parts.
-struct Fork {
+pub(super) struct Fork {
     throughput: Rgb,
     depth: u32,
     crossings: u32,
@@ -114,25 +114,28 @@ impl Path<'_> {
     /// Whether a walk that enters at `p` (walk space), outward normal `n`, behind a path's first one is worth its time. What it is
     /// expected to bring is there in any case.
     pub(super) fn outlasts(&mut self, instance: u32, p: Vec3, n: Vec3, sampler: &mut Sampler) -> Option<()> {
-        // Layers by lobe know nothing of light that is only expected.
-        let later = self.depth > 0 && self.bucket == Bucket::Subsurface;
-        let Some(begun) = self.begun.filter(|_| later) else { return Some(()) };
-        let Some(onward) = self.guide.onward(instance, p, n) else { return Some(()) };
         let throughput = self.throughput.max_element();
-        let Some(survival) = onward.survival(throughput, &begun.onward, begun.throughput) else { return Some(()) };
+        let begun = self.begun.filter(|_| self.depth > 0);
+        let known = begun.and_then(|begun| {
+            let onward = self.guide.onward(instance, p, n)?;
+            Some((onward.expected, onward.survival(throughput, &begun.onward, begun.throughput)?))
+        });
+        let Some((expected, survival)) = known else {
+            return if self.beside { self.survive(sampler.next_1d()) } else { Some(()) };
+        };
         let survives = sampler.random() < survival;
         let left = if survives { 1.0 - 1.0 / survival } else { 1.0 };
-        self.add_unlit(self.bucket, self.throughput * onward.expected * left);
+        self.add_unlit(self.bucket, self.throughput * expected * left);
         self.throughput /= survival;
         survives.then_some(())
     }
 
-    fn fork(&self) -> Fork {
+    pub(super) fn fork(&self) -> Fork {
         let Self { throughput, depth, crossings, bucket, looks, by, inside, cone, .. } = *self;
         Fork { throughput, depth, crossings, bucket, looks, by, inside, cone }
     }
 
-    fn return_to(&mut self, fork: &Fork) {
+    pub(super) fn return_to(&mut self, fork: &Fork) {
         (self.throughput, self.depth, self.crossings, self.bucket) =
             (fork.throughput, fork.depth, fork.crossings, fork.bucket);
         (self.looks, self.by, self.inside, self.cone) = (fork.looks, fork.by, fork.inside, fork.cone);

@@ -39,12 +39,18 @@ impl By {
                 (light * taken, Some(by))
             }
         };
+        self.lay(bucket, by, light, sums);
+        light
+    }
+
+    /// Adds `light`, met by `by`, to the sums that show it.
+    pub fn lay(&self, bucket: Bucket, by: Option<Response>, light: Rgb, sums: &mut [Rgb]) {
         if sums.is_empty() {
-            return light;
+            return;
         }
         // After a single vertex the first is the last one, with the share that this light has.
         let (first, straight) = match bucket {
-            Bucket::Subsurface => return light,
+            Bucket::Subsurface => return,
             Bucket::Direct => (by, true),
             Bucket::Indirect => (self.first, false),
         };
@@ -57,7 +63,6 @@ impl By {
             // Out of a medium that has not scattered what goes into the bucket above.
             Some(Response::Transmitted | Response::Scattered) => Lobe::Transmission.add(sums, straight, light),
         }
-        light
     }
 }
 

@@ -121,6 +121,8 @@ struct Path<'a> {
     /// Nothing but mirrors since the camera: what it meets, the camera sees.
     looks: bool,
     by: By,
+    /// A reflection at the first surface, followed beside what enters there.
+    beside: bool,
     begun: Option<Begun>,
     /// Of the last collision of a walk.
     aim: Option<Aim>,
@@ -176,8 +178,8 @@ pub fn trace(
     }
     while path.segment(sampler).is_some() {}
     path.finish_walks();
-    let finite = path.sample.color().is_finite();
     path.set_apart();
+    let finite = path.is_finite();
     let sample = path.sample;
     if !finite {
         path.stats.non_finite += 1;
@@ -207,6 +209,7 @@ impl<'a> Path<'a> {
             previous: Previous::Camera,
             looks: true,
             by: By::nothing(scene.lights.has_responses()),
+            beside: false,
             begun: None,
             aim: None,
             seen: 1.0,
@@ -308,8 +311,13 @@ impl Path<'_> {
         if self.depth + self.crossings < ROULETTE_DEPTH {
             return Some(());
         }
+        self.survive(sampler.random())
+    }
+
+    /// Goes on as often as the throughput is worth.
+    fn survive(&mut self, u: f32) -> Option<()> {
         let survival = self.throughput.max_element().min(1.0);
-        if sampler.random() >= survival {
+        if u >= survival {
             return None;
         }
         self.throughput /= survival;
@@ -325,6 +333,7 @@ impl Path<'_> {
     fn add_unlit(&mut self, bucket: Bucket, light: Rgb) {
         add_to(&mut self.sample, bucket, light);
         self.scene.lights.share_out(self.groups, light);
+        self.by.lay(bucket, None, light, self.lobes);
     }
 
     /// Adds light that a vertex has sent this way.

@@ -2,7 +2,7 @@
 
 use super::nest::{hides, side_of};
 use super::{Bucket, Path, Previous};
-use crate::bsdf::{Boundary, BsdfSample, Event, Response, Side, Surface};
+use crate::bsdf::{Boundary, Bsdf, BsdfSample, Event, Response, Side, Surface};
 use crate::film::{FirstHit, OnSurface};
 use crate::guiding::LightsAt;
 use crate::interaction::Interaction;
@@ -35,6 +35,9 @@ impl Path<'_> {
         let recolored = si.display_color.and_then(|color| surface.with_display_color(color));
         let surface = recolored.as_ref().unwrap_or(surface);
         let bsdf = surface.bsdf_beside(si.local(si.wo), si.side, self.inside.index_beside(si.instance));
+        // What is reflected first is followed beside what enters a medium: neither has to be lucky.
+        let parted = if self.depth == 0 { bsdf.parted() } else { None };
+        let (bsdf, entry) = parted.map_or((bsdf, None), |(reflecting, entering)| (reflecting, Some(entering)));
         let chosen = bsdf.sample(sampler.next_1d(), sampler.next_2d());
         self.record_seen(si, surface, chosen.as_ref());
         if self.depth > 0 && self.bucket == Bucket::Direct {
@@ -42,11 +45,55 @@ impl Path<'_> {
         }
         let lights = if self.depth == 0 { self.guide.first_hit_choice() } else { self.lights_at(si, coating) };
         self.next_event(si, &bsdf, lights, None, sampler);
+        if let Some(entry) = entry {
+            let mut beside = sampler.parted();
+            self.enter_first(hit, si, coating, &entry, lights, sampler);
+            self.beside = true;
+            return self.follow(hit, si, coating, &bsdf, chosen, lights, &mut beside).map(|()| *sampler = beside);
+        }
+        self.follow(hit, si, coating, &bsdf, chosen, lights, sampler)
+    }
 
+    /// Follows what enters at the first surface to the end of its path, and comes back.
+    fn enter_first(
+        &mut self,
+        hit: &SurfaceHit,
+        si: &Interaction,
+        coating: &Coating,
+        entry: &Bsdf,
+        lights: LightsAt,
+        sampler: &mut Sampler,
+    ) {
+        let fork = self.fork();
+        let entering = entry.sample(sampler.next_1d(), sampler.next_2d());
+        let mut on = self.follow(hit, si, coating, entry, entering, lights, sampler);
+        while on.is_some() {
+            on = self.segment(sampler);
+        }
+        self.finish_walks();
+        self.set_apart();
+        self.return_to(&fork);
+    }
+
+    /// Goes on in the direction that was `chosen`.
+    fn follow(
+        &mut self,
+        hit: &SurfaceHit,
+        si: &Interaction,
+        coating: &Coating,
+        bsdf: &Bsdf,
+        chosen: Option<BsdfSample>,
+        lights: LightsAt,
+        sampler: &mut Sampler,
+    ) -> Option<()> {
         let chosen = chosen?;
         let wi = si.frame.to_world(chosen.wi);
-        let by = self.response(&bsdf, chosen.wi, chosen.f, chosen.delta);
+        let by = self.response(bsdf, chosen.wi, chosen.f, chosen.delta);
         self.throughput *= chosen.f / chosen.pdf;
+        let passes = matches!(chosen.event, Event::PassThrough | Event::EnterSubsurface);
+        if self.beside && self.depth > 0 && !passes {
+            self.survive(sampler.next_1d())?;
+        }
         match chosen.event {
             Event::PassThrough => self.pass_through(si),
             Event::Reflect => {

@@ -84,6 +84,11 @@ impl Sampler {
         }
     }
 
+    /// The stream of a path that parts from this one here: strata and hashed numbers of its own, of the same sample.
+    pub fn parted(&self) -> Self {
+        Self { seed: parts::hash(self.seed), state: hash(self.state), ..self.clone() }
+    }
+
     /// A number in [0, 1).
     pub fn next_1d(&mut self) -> f32 {
         if self.dimension < SOBOL_DIMENSIONS {
