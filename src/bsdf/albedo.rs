@@ -132,12 +132,14 @@ mod tests {
                     let exact = visible_normals(ggx, mu, FINE, |wo, h| interface_share(ggx, eta, wo, h));
                     let got = interface.at(mu);
                     assert!((got / exact - 1.0).abs() < bound, "interface {alpha} {eta} {mu}: {got} {exact}");
+                    if eta < 1.0 {
+                        continue; // see NODES
+                    }
                     let exact = visible_normals(ggx, mu, FINE, |wo, h| {
                         reflection_share(ggx, Masking::Smith, wo, h) * dielectric(wo.dot(h), eta)
                     });
                     let got = reflection.at(mu);
-                    let matters = eta > 1.0; // see NODES
-                    assert!(!matters || (got - exact).abs() < bound, "layer {alpha} {eta} {mu}: {got} {exact}");
+                    assert!((got - exact).abs() < bound, "layer {alpha} {eta} {mu}: {got} {exact}");
                 }
             }
         }
