@@ -19,9 +19,10 @@ render: $(INSTALLED)
 	mkdir -p out
 	$(BIN)/dermis record usd_scenes/orc.usda out/orc.exr --displayImage out/orc.png --progress bar
 
+# Python's tests two files at a time: much of what they do is one thread's work. Fixtures of a file are made once.
 test: $(TEST_INSTALLED) lint
 	cargo test --release
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 # The hard cases, some minutes: out/stability.html and out/stability.csv.
 stability: $(TEST_INSTALLED)
