@@ -506,7 +506,8 @@ fn what_is_reflected_and_what_enters_are_the_whole() {
     };
     for (surface, mu) in [(skin(0.3, 0.0), 0.9), (skin(0.3, 0.0), 0.15), (skin(0.0, 0.0), 0.5), (skin(0.4, 0.8), 0.4)] {
         let whole = surface.bsdf(direction(mu), Side::Outside);
-        let (reflecting, entering) = whole.parted().expect("it reflects, and is entered");
+        let (reflecting, chance, entering) = whole.parted().expect("it reflects, and is entered");
+        assert!(chance > 0.0 && chance < 1.0);
         check_sampling("reflecting", &reflecting);
         for wi in [direction(0.2), direction(0.6), direction(0.99)] {
             assert_eq!(reflecting.eval(wi), whole.eval(wi));

@@ -49,6 +49,11 @@ impl Lobe {
         matches!(self, Self::Diffuse(_) | Self::StormDiffuse { .. })
     }
 
+    /// Whether all of it stays on the side of `wo`.
+    pub fn reflects(&self) -> bool {
+        matches!(self, Self::Diffuse(_) | Self::StormDiffuse { .. } | Self::Glossy(_) | Self::Mirror(_))
+    }
+
     /// f * |cos|.
     pub fn eval(&self, wo: Vec3, wi: Vec3) -> Rgb {
         match self {

@@ -122,17 +122,15 @@ impl Bsdf {
         self
     }
 
-    /// The lobes that reflect, and the entry into a medium with [`Boundary::Diffuse`], where there is nothing but those two: together
-    /// they are what the mixture is.
-    pub fn parted(&self) -> Option<(Self, Self)> {
-        let reflects = |c: &&Component| {
-            matches!(c.lobe, Lobe::Diffuse(_) | Lobe::StormDiffuse { .. } | Lobe::Glossy(_) | Lobe::Mirror(_))
-        };
+    /// The lobes that reflect, the probability with which one of them would be chosen, and the entry into a medium with
+    /// [`Boundary::Diffuse`], where there is nothing but those two: together they are what the mixture is.
+    pub fn parted(&self) -> Option<(Self, f32, Self)> {
         let enters = |c: &&Component| c.lobe == Lobe::Subsurface;
-        let (reflecting, entering) =
-            (self.lobes().iter().filter(reflects).count(), self.lobes().iter().filter(enters).count());
-        let apart = reflecting > 0 && entering > 0 && reflecting + entering == self.len;
-        apart.then(|| (self.of(reflects), self.of(enters)))
+        let reflects = |c: &&Component| c.lobe.reflects();
+        let is_either = |c: &Component| enters(&c) || reflects(&c);
+        let chance: f32 = self.lobes().iter().filter(reflects).map(|c| c.probability).sum();
+        let both = chance > 0.0 && self.lobes().iter().any(|c| enters(&c)) && self.lobes().iter().all(is_either);
+        both.then(|| (self.of(reflects), chance, self.of(enters)))
     }
 
     /// The lobes of a kind alone.

@@ -184,11 +184,12 @@ impl Guide {
         }
     }
 
-    /// What is known of walks that enter `instance` at `p` (walk space), outward normal `n`, if light that leaves it is guided.
-    pub fn onward(&self, instance: u32, p: Vec3, n: Vec3) -> Option<Onward> {
-        let RegionId { instance, region } = self.region(instance, p, n)?;
-        let field = self.fields[instance as usize].as_ref().filter(|field| field.exits.is_some())?;
-        Some(field.region(region).onward)
+    /// The region where walks enter `instance` at `p` (walk space), outward normal `n`, and what is known of them, if light that
+    /// leaves it is guided.
+    pub fn onward(&self, instance: u32, p: Vec3, n: Vec3) -> Option<(RegionId, Onward)> {
+        let region = self.region(instance, p, n)?;
+        let field = self.fields[region.instance as usize].as_ref().filter(|field| field.exits.is_some())?;
+        Some((region, field.region(region.region).onward))
     }
 
     /// The paper's choice of a slab normal for a walk that enters `instance` at `p` (walk space), outward normal `n`.

@@ -33,6 +33,12 @@ pub struct Effort {
     /// Of those: variance of one way, and its cost.
     way_variance: f64,
     way_cost: f64,
+    /// Reflections that were followed beside a walk, the probabilities with which they would have been drawn in its place.
+    reflections: f64,
+    chance: f64,
+    /// What they brought, as the moments above, and what they cost.
+    reflected: [f64; 2],
+    reflected_cost: f64,
 }
 
 /// What one walk, and what followed, took.
@@ -53,6 +59,8 @@ pub struct Taken {
 pub struct Onward {
     /// In which a path goes on where its first walk comes out.
     pub ways: u32,
+    /// Whether what the first surface reflects is followed beside the walk; drawn in its place otherwise.
+    pub parted: u32,
     /// Root of variance over cost, per throughput; 0: not known.
     pub worth: f32,
     /// Expected value of a walk.
@@ -62,8 +70,8 @@ pub struct Onward {
 }
 
 impl Onward {
-    /// Before anything is known: what tells the ways apart.
-    pub const UNKNOWN: Self = Self { ways: 2, worth: 0.0, expected: Rgb::ZERO, noise: f32::INFINITY };
+    /// Before anything is known: what tells the ways apart, and reflections from walks.
+    pub const UNKNOWN: Self = Self { ways: 2, parted: 1, worth: 0.0, expected: Rgb::ZERO, noise: f32::INFINITY };
 }
 
 /// Most ways: 16 were no better where light comes from a card, and worse elsewhere.
@@ -108,6 +116,17 @@ impl Effort {
         }
     }
 
+    /// A reflection beside a walk, which brought `estimate` per unit of the walk's throughput, and would have been drawn in its place
+    /// with probability `chance`.
+    pub fn add_reflection(&mut self, estimate: Rgb, chance: f32, cost: u64) {
+        let gray = f64::from(mean(estimate));
+        self.reflections += 1.0;
+        self.chance += f64::from(chance);
+        self.reflected[0] += gray;
+        self.reflected[1] += gray * gray;
+        self.reflected_cost += cost as f64;
+    }
+
     pub fn merge(&mut self, other: &Self) {
         let other = bytemuck::cast_ref::<Self, [f64; SUMS]>(other);
         bytemuck::cast_mut::<Self, [f64; SUMS]>(self).iter_mut().zip(other).for_each(|(a, b)| *a += b);
@@ -127,10 +146,11 @@ impl Effort {
         let (variance, cost) = ((square - average * average).max(0.0), self.cost / self.walks);
         let worth = (variance / cost.max(1.0)).sqrt() as f32;
         let ways = self.ways(variance, cost).unwrap_or(before.ways);
+        let parted = self.parted(variance, cost).map_or(before.parted, u32::from);
         // Nothing may be what was brought so far.
         let noise = if average > 0.0 { (variance / (average * average)) as f32 } else { f32::INFINITY };
         let known = self.walks >= LEAST_WALKS && worth.is_finite() && expected.is_finite();
-        if known { Onward { ways, worth, expected, noise } } else { Onward { noise, ..before } }
+        if known { Onward { ways, parted, worth, expected, noise } } else { Onward { noise, ..before } }
     }
 
     /// The number of ways for which variance times cost is least; `None`: there were none to go by.
@@ -143,6 +163,20 @@ impl Effort {
         let own_cost = CAMERA_COST + (cost - way_cost * self.ways / self.walks).max(1.0);
         let best = (way_variance / way_cost.max(1.0) * own_cost / own).sqrt();
         best.is_finite().then(|| best.round().clamp(1.0, MOST_WAYS) as u32)
+    }
+
+    /// Whether variance times cost is less where a reflection is followed beside the walk than where one of the two is drawn, from
+    /// strata, which leave no variance of the choice itself; `None`: too few were followed.
+    fn parted(&self, variance: f64, cost: f64) -> Option<bool> {
+        if self.reflections < LEAST_WALKS {
+            return None;
+        }
+        let [average, square] = self.reflected.map(|sum| sum / self.reflections);
+        let (reflected, reflected_cost) = (square - average * average, self.reflected_cost / self.reflections);
+        let chance = self.chance / self.reflections;
+        let drawn = reflected / chance + variance / (1.0 - chance);
+        let drawn_cost = CAMERA_COST + chance * reflected_cost + (1.0 - chance) * cost;
+        Some((reflected + variance) * (CAMERA_COST + reflected_cost + cost) < drawn * drawn_cost)
     }
 }
 
@@ -191,6 +225,25 @@ mod tests {
             mixed.add(gray, gray, &Taken { cost: 100 + 4 * 124, ways: 4, way_variance: 4.0, ways_cost: 4 * 124 });
         }
         assert_eq!(mixed.onward(Onward::UNKNOWN).ways, 2);
+    }
+
+    #[test]
+    fn reflections_are_followed_where_they_are_noisy_and_cheap() {
+        let parted = |deviation: f32, chance, cost| {
+            let mut effort = effort(1.0, 0.0, 100);
+            for i in 0..1000 {
+                effort.add_reflection(Rgb::splat(if i % 2 == 0 { 0.0 } else { 2.0 * deviation }), chance, cost);
+            }
+            effort.onward(Onward::UNKNOWN).parted == 1
+        };
+        // Walks have a variance of 1 and a cost of 324 with what is before them; 1 of 25 would be reflected.
+        assert!(parted(0.5, 0.04, 20));
+        assert!(!parted(0.5, 0.04, 300));
+        assert!(!parted(0.0, 0.04, 20));
+        // Where half is reflected, following both costs a few of two rays, and each is drawn in vain as often.
+        assert!(parted(0.0, 0.5, 20));
+        let unknown = Onward { parted: 0, ..Onward::UNKNOWN };
+        assert_eq!(effort(1.0, 0.0, 100).onward(unknown).parted, 0);
     }
 
     #[test]

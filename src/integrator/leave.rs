@@ -117,11 +117,11 @@ impl Path<'_> {
         let throughput = self.throughput.max_element();
         let begun = self.begun.filter(|_| self.depth > 0);
         let known = begun.and_then(|begun| {
-            let onward = self.guide.onward(instance, p, n)?;
+            let (_, onward) = self.guide.onward(instance, p, n)?;
             Some((onward.expected, onward.survival(throughput, &begun.onward, begun.throughput)?))
         });
         let Some((expected, survival)) = known else {
-            return if self.beside { self.survive(sampler.next_1d()) } else { Some(()) };
+            return if self.beside.is_some() { self.survive(sampler.next_1d()) } else { Some(()) };
         };
         let survives = sampler.random() < survival;
         let left = if survives { 1.0 - 1.0 / survival } else { 1.0 };

@@ -2,6 +2,7 @@
 //! and multiple importance sampling at surfaces, at exits of media, and at collisions where light gets in.
 
 mod bent;
+mod beside;
 mod collision;
 mod direct;
 mod entry;
@@ -34,6 +35,7 @@ use crate::sampling::sampler::Sampler;
 use crate::scene::{Coating, Moment, NOBODY, Origin};
 use crate::subsurface::steps::WalkStats;
 use bent::{Aim, Refracted};
+use beside::Beside;
 use bytemuck::{Pod, Zeroable};
 use footprint::Cone;
 use glam::{Vec2, Vec3};
@@ -121,8 +123,8 @@ struct Path<'a> {
     /// Nothing but mirrors since the camera: what it meets, the camera sees.
     looks: bool,
     by: By,
-    /// A reflection at the first surface, followed beside what enters there.
-    beside: bool,
+    /// The reflection at the first surface that it is now, if a walk was followed beside it.
+    beside: Option<Beside>,
     begun: Option<Begun>,
     /// Of the last collision of a walk.
     aim: Option<Aim>,
@@ -178,6 +180,7 @@ pub fn trace(
     }
     while path.segment(sampler).is_some() {}
     path.finish_walks();
+    path.finish_beside();
     path.set_apart();
     let finite = path.is_finite();
     let sample = path.sample;
@@ -209,7 +212,7 @@ impl<'a> Path<'a> {
             previous: Previous::Camera,
             looks: true,
             by: By::nothing(scene.lights.has_responses()),
-            beside: false,
+            beside: None,
             begun: None,
             aim: None,
             seen: 1.0,

@@ -35,9 +35,8 @@ impl Path<'_> {
         let recolored = si.display_color.and_then(|color| surface.with_display_color(color));
         let surface = recolored.as_ref().unwrap_or(surface);
         let bsdf = surface.bsdf_beside(si.local(si.wo), si.side, self.inside.index_beside(si.instance));
-        // What is reflected first is followed beside what enters a medium: neither has to be lucky.
-        let parted = if self.depth == 0 { bsdf.parted() } else { None };
-        let (bsdf, entry) = parted.map_or((bsdf, None), |(reflecting, entering)| (reflecting, Some(entering)));
+        let parted = self.parted(hit, si, &bsdf);
+        let (bsdf, entry) = parted.map_or((bsdf, None), |(reflecting, entry)| (reflecting, Some(entry)));
         let chosen = bsdf.sample(sampler.next_1d(), sampler.next_2d());
         self.record_seen(si, surface, chosen.as_ref());
         if self.depth > 0 && self.bucket == Bucket::Direct {
@@ -46,37 +45,16 @@ impl Path<'_> {
         let lights = if self.depth == 0 { self.guide.first_hit_choice() } else { self.lights_at(si, coating) };
         self.next_event(si, &bsdf, lights, None, sampler);
         if let Some(entry) = entry {
-            let mut beside = sampler.parted();
-            self.enter_first(hit, si, coating, &entry, lights, sampler);
-            self.beside = true;
-            return self.follow(hit, si, coating, &bsdf, chosen, lights, &mut beside).map(|()| *sampler = beside);
+            // The path goes on with numbers of its own, whatever the walk takes.
+            let beside = sampler.parted();
+            let mut walked = std::mem::replace(sampler, beside);
+            self.enter_first(hit, si, coating, &entry, lights, &mut walked);
         }
         self.follow(hit, si, coating, &bsdf, chosen, lights, sampler)
     }
 
-    /// Follows what enters at the first surface to the end of its path, and comes back.
-    fn enter_first(
-        &mut self,
-        hit: &SurfaceHit,
-        si: &Interaction,
-        coating: &Coating,
-        entry: &Bsdf,
-        lights: LightsAt,
-        sampler: &mut Sampler,
-    ) {
-        let fork = self.fork();
-        let entering = entry.sample(sampler.next_1d(), sampler.next_2d());
-        let mut on = self.follow(hit, si, coating, entry, entering, lights, sampler);
-        while on.is_some() {
-            on = self.segment(sampler);
-        }
-        self.finish_walks();
-        self.set_apart();
-        self.return_to(&fork);
-    }
-
     /// Goes on in the direction that was `chosen`.
-    fn follow(
+    pub(super) fn follow(
         &mut self,
         hit: &SurfaceHit,
         si: &Interaction,
@@ -91,7 +69,7 @@ impl Path<'_> {
         let by = self.response(bsdf, chosen.wi, chosen.f, chosen.delta);
         self.throughput *= chosen.f / chosen.pdf;
         let passes = matches!(chosen.event, Event::PassThrough | Event::EnterSubsurface);
-        if self.beside && self.depth > 0 && !passes {
+        if self.beside.is_some() && self.depth > 0 && !passes {
             self.survive(sampler.next_1d())?;
         }
         match chosen.event {

@@ -20,7 +20,7 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 /// Raised when an older file could be misread.
-const VERSION: u32 = 7;
+const VERSION: u32 = 8;
 /// As a number of this machine: another byte order does not match.
 const MAGIC: u64 = u64::from_le_bytes(*b"DERMISCP");
 /// Bytes of the first three numbers.
