@@ -1,10 +1,13 @@
 //! Surfaces against statistics and closed forms: sampling, pdfs, energy, reciprocity, and agreement of shaders.
 
+mod support;
+
 use dermis::bsdf::{Boundary, Bsdf, Event, InteriorAlbedo, Side, Surface};
 use dermis::flat::{ChiangHair, Material, OpenPbrSurface, PreviewSurface, StandardSurface};
 use dermis::math::{Rgb, TAU};
 use dermis::sampling::sampler::Sampler;
 use glam::{Vec2, Vec3};
+use support::chi_square;
 
 fn compile(material: Material, boundary: Option<Boundary>) -> Surface {
     let mut warnings = Vec::new();
@@ -155,14 +158,8 @@ fn bin(wi: Vec3) -> usize {
     z.min(Z_BINS - 1) * PHI_BINS + ((phi * PHI_BINS as f32) as usize).min(PHI_BINS - 1)
 }
 
-/// Standard normal score of a chi-square value (Wilson and Hilferty 1931).
-fn score(chi2: f64, dof: f64) -> f64 {
-    let v = 2.0 / (9.0 * dof);
-    ((chi2 / dof).cbrt() - (1.0 - v)) / v.sqrt()
-}
-
 /// Counts against expectation; sparse bins and what is not sampled (delta, absorbed) are pooled.
-fn chi_square(counts: &[f64], expected: &[f64], total: f64) -> f64 {
+fn against(counts: &[f64], expected: &[f64], total: f64) -> f64 {
     let (mut chi2, mut dof) = (0.0, 0.0);
     let (mut rest_n, mut rest_e) = (total, total);
     for (&n, &e) in counts.iter().zip(expected) {
@@ -173,7 +170,7 @@ fn chi_square(counts: &[f64], expected: &[f64], total: f64) -> f64 {
     }
     // Quadrature error of a pdf that should integrate to 1 can leave the rest below 1 sample.
     chi2 += (rest_n - rest_e) * (rest_n - rest_e) / rest_e.abs().max(10.0);
-    score(chi2, dof)
+    chi_square::score(chi2, dof)
 }
 
 /// The sampler draws from its pdf, f / pdf has the mean of eval, and both are what eval and pdf say.
@@ -198,7 +195,7 @@ fn check_sampling(name: &str, bsdf: &Bsdf) {
         (sum, sum2) = (sum + weight, sum2 + weight * weight);
     }
     let n = SAMPLES as f64;
-    let z = chi_square(&counts, &pdf, n);
+    let z = against(&counts, &pdf, n);
     let sigma = ((sum2 / n - (sum / n) * (sum / n)) / n).max(glam::DVec3::splat(1e-10));
     let error = (sum / n - f).abs() / (5.0 * glam::DVec3::new(sigma.x.sqrt(), sigma.y.sqrt(), sigma.z.sqrt()) + 2e-4);
     println!("{name}: chi-square score {z:.2}, share {share:.5}, f {f:.4}");
@@ -278,10 +275,10 @@ fn chi_square_notices_two_percent() {
     let n = SAMPLES as f64;
     let expected =
         |scale: &dyn Fn(usize) -> f64| -> Vec<f64> { pdf.iter().enumerate().map(|(i, p)| p * n * scale(i)).collect() };
-    assert!(chi_square(&counts, &expected(&|_| 1.0), n) < 4.5);
-    assert!(chi_square(&counts, &expected(&|_| 1.02), n) > 6.0);
-    assert!(chi_square(&counts, &expected(&|_| 0.98), n) > 6.0);
-    assert!(chi_square(&counts, &expected(&|i| 1.0 + 0.04 * (i % 2) as f64 - 0.02), n) > 6.0);
+    assert!(against(&counts, &expected(&|_| 1.0), n) < 4.5);
+    assert!(against(&counts, &expected(&|_| 1.02), n) > 6.0);
+    assert!(against(&counts, &expected(&|_| 0.98), n) > 6.0);
+    assert!(against(&counts, &expected(&|i| 1.0 + 0.04 * (i % 2) as f64 - 0.02), n) > 6.0);
 }
 
 // ---- energy ---------------------------------------------------------------------------------------------------
