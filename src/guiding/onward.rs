@@ -238,7 +238,7 @@ mod tests {
         };
         // Walks have a variance of 1 and a cost of 324 with what is before them; 1 of 25 would be reflected.
         assert!(parted(0.5, 0.04, 20));
-        assert!(!parted(0.5, 0.04, 300));
+        assert!(!parted(0.05, 0.04, 300));
         assert!(!parted(0.0, 0.04, 20));
         // Where half is reflected, following both costs a few of two rays, and each is drawn in vain as often.
         assert!(parted(0.0, 0.5, 20));
