@@ -115,7 +115,10 @@ def means(image: dermis.Image, name: str) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("boundary", ["diffuse", "indexMatched"])
 def test_a_group_is_the_image_of_its_lights(boundary):
     prims = (KEYS, FILL, RIM, GLOW, ball(boundary))
-    image = rendered(*prims, aovs=[*ALL, "light_KeyB", "light_/World/Rim"], samples=512)
+    seeds = range(8)
+    images = [
+        rendered(*prims, aovs=[*ALL, "light_KeyB", "light_/World/Rim"], samples=64, seed=s) for s in seeds
+    ]
     alone = {
         "light_key": (KEYS,),
         "light_fill": (FILL,),
@@ -125,11 +128,16 @@ def test_a_group_is_the_image_of_its_lights(boundary):
     }
     for name, lights in alone.items():
         dark = GLOW.replace("(3, 2, 1)", "(0, 0, 0)") if GLOW not in lights else ""
-        other = rendered(*lights, dark, ball(boundary), aovs=["variance"], samples=512)
-        got, expected = means(image, name)[0], means(other, "color")[0]
-        # The group's own noise is that of the image at most.
-        error = np.sqrt(2.0 * other["variance"].astype(float).sum((0, 1))) / other["variance"][..., 0].size
-        assert (np.abs(got - expected) < 5.0 * error + 0.01 * expected).all(), (name, got, expected, error)
+        others = [rendered(*lights, dark, ball(boundary), aovs=[], samples=64, seed=20 + s) for s in seeds]
+        got, expected = (
+            np.array([means(image, of)[0] for image in many])
+            for many, of in ((images, name), (others, "color"))
+        )
+        # What belongs to no light is shared out: a dim light's layer has some of the others' noise.
+        error = np.sqrt((got.var(0, ddof=1) + expected.var(0, ddof=1)) / len(seeds))
+        got, expected = got.mean(0), expected.mean(0)
+        assert (error < 0.015 * expected).all(), "6 % would not be seen"
+        assert (np.abs(got - expected) < 4.0 * error).all(), (name, got, expected, error)
 
 
 def test_labels_of_other_renderers(flat):
