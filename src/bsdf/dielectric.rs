@@ -28,6 +28,11 @@ pub struct Dielectric {
 }
 
 impl Dielectric {
+    /// Without tints and compensation; `eta` is 1.
+    pub fn bare(alpha: f32) -> Self {
+        Self { eta: 1.0, alpha, reflect_tint: Rgb::ONE, transmit_tint: Rgb::ONE, compensation: 1.0 }
+    }
+
     /// True when both lobes are single directions.
     pub fn is_smooth(&self) -> bool {
         is_smooth(self.alpha, self.eta)
@@ -171,7 +176,7 @@ mod tests {
     use crate::sampling::uniform_sphere;
 
     fn bare(eta: f32, alpha: f32) -> Dielectric {
-        Dielectric { eta, alpha, reflect_tint: Rgb::ONE, transmit_tint: Rgb::ONE, compensation: 1.0 }
+        Dielectric { eta, ..Dielectric::bare(alpha) }
     }
 
     /// f(wo, wi) eta^2 = f(wi, wo) across the boundary (Veach 1997, eq. 5.14), f(wo, wi) = f(wi, wo) on one side.

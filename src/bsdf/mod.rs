@@ -25,6 +25,7 @@ mod standard;
 mod surface;
 mod translucent;
 
+pub use dielectric::Dielectric;
 pub use interior::{Boundary, Interior, InteriorAlbedo};
 pub use response::Response;
 pub use surface::{NotedCurves, OfMesh, Surface};

@@ -3,6 +3,7 @@
 use super::albedo::Curve;
 use super::check::Check;
 use super::curves::{Curves, Key};
+use super::dielectric::{Dielectric, Interface};
 use super::hair::{self, Hair};
 use super::interior::{Boundary, Interior};
 use super::layered::Layered;
@@ -197,6 +198,15 @@ impl Surface {
         let Base::Layered(layered) = &self.base else { return None };
         let interface = layered.interface().filter(|interface| interface.is_smooth())?;
         Some((interface.eta, interface.transmit_tint))
+    }
+
+    /// The facets of a boundary that refracts into lobes, from outside, where the index is `beside`: neither tinted nor
+    /// compensated.
+    pub fn rough_interface(&self, beside: f32) -> Option<Dielectric> {
+        let Base::Layered(layered) = &self.base else { return None };
+        let Interface { eta, alpha, .. } = *layered.interface()?;
+        let facets = Dielectric { eta: eta / beside, ..Dielectric::bare(alpha) };
+        (!facets.is_smooth()).then_some(facets)
     }
 
     fn outside(&self, wo: Vec3) -> Bsdf {

@@ -1,6 +1,6 @@
 //! Looking at the guide: what AOVs, statistics and `dermis explain` show of it.
 
-use super::plan::{Plan, Walk, plans};
+use super::plan::{Looks, Plan, Walk, plans};
 use super::{ExitLights, Guide};
 use crate::flat::{Prims, RenderSettings};
 use crate::math::Rgb;
@@ -120,7 +120,7 @@ pub fn explain(scene: &Scene, settings: &RenderSettings) -> Vec<Explanation> {
     let cached = count(&|plan| plan.needs_cache());
     let exact = count(&|plan| plan.needs_cache() && plan.exact);
     let mixtures = count(&|plan| plan.walk == Walk::Mixture && plan.exact);
-    let bent = count(&|plan| plan.bends);
+    let bent = count(&|plan| plan.looks != Looks::Not);
     let lights = ExitLights::of(scene, settings);
     let line = Explanation::new;
     let guided = count(&|plan| plan.walk != Walk::Classical);

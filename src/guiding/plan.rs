@@ -26,14 +26,25 @@ pub enum Walk {
     Mixture,
 }
 
+/// How collisions look for light through a boundary that bends it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Looks {
+    Not,
+    /// Into single directions: where beams of light come from, or by searching.
+    Smooth,
+    /// By its facets.
+    Rough,
+}
+
 /// What is done for one medium.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Plan {
     pub walk: Walk,
     /// Weighted by the marginal over all techniques; else by the one that was drawn.
     pub exact: bool,
-    /// Collisions look for light through a boundary that bends it.
-    pub bends: bool,
+    /// How collisions look for light through a boundary that bends it.
+    pub looks: Looks,
     /// Neighbouring pixels share the paths through it.
     pub shares: bool,
     pub why: String,
@@ -73,17 +84,19 @@ pub fn plans(scene: &Scene, settings: &RenderSettings) -> Vec<Option<Plan>> {
         let mut plan = if varies && anisotropic {
             let why = "its medium is driven and its phase function is not isotropic: kernels for each point would take \
                        longer than its walks";
-            Plan { walk: Walk::Classical, exact: false, bends: false, shares: false, why: why.into() }
+            Plan { walk: Walk::Classical, exact: false, looks: Looks::Not, shares: false, why: why.into() }
         } else {
             plan(settings, &interior, owner.thickness(), scene.is_lit())
         };
         if varies && !anisotropic {
             plan.why += "; driven: each walk has the medium of its entry";
         }
-        plan.bends = bends(scene, settings, coating, owner, &plan);
-        if plan.bends {
-            plan.why += "; collisions look for light through its smooth boundary";
-        }
+        plan.looks = looks(scene, settings, coating, owner, &plan);
+        plan.why += match plan.looks {
+            Looks::Not => "",
+            Looks::Smooth => "; collisions look for light through its smooth boundary",
+            Looks::Rough => "; collisions look for light through its rough boundary",
+        };
         plan.shares = shares(scene, settings, &interior, varies);
         if plan.shares {
             plan.why += "; neighbouring pixels share its paths";
@@ -93,20 +106,27 @@ pub fn plans(scene: &Scene, settings: &RenderSettings) -> Vec<Option<Plan>> {
     plans
 }
 
-/// Whether collisions look for light through the boundary of a medium that scatters and bends it into single directions. By
-/// itself only where lights are small, and not in walks of the mixture: those are for bodies so thick that light seldom gets
+/// Whether collisions look for light through the boundary of a medium that scatters. By itself only where lights are small, and
+/// through a smooth boundary not in walks of the mixture: those are for bodies so thick that light seldom gets
 /// to a collision straight, and each of theirs would cost a sum over techniques. `owner` wears the `coating`.
-fn bends(scene: &Scene, settings: &RenderSettings, coating: &Coating, owner: &Instance, plan: &Plan) -> bool {
-    let scatters = coating.interior.is_some_and(|interior| interior.medium.scatters());
-    // Looks know one medium, one index and the mesh's own normals: where a network drives them, chance has the light.
-    let constant = coating.driven.is_none();
-    let smooth = scatters && constant && coating.surface.smooth_interface().is_some();
-    let wanted = match settings.refracted_light.as_str() {
+fn looks(scene: &Scene, settings: &RenderSettings, coating: &Coating, owner: &Instance, plan: &Plan) -> Looks {
+    let bends = |interior: Interior| interior.medium.scatters() && interior.boundary == Boundary::Dielectric;
+    let small = match settings.refracted_light.as_str() {
         "off" => false,
         "on" => scene.lights.has_sought(),
-        _ => !plan.exact && scene.lights.has_small(),
+        _ => scene.lights.has_small(),
     };
-    smooth && wanted && has_plain_normals(scene, owner) && is_alone_somewhere(scene, owner)
+    if !(small && coating.interior.is_some_and(bends) && is_alone_somewhere(scene, owner)) {
+        return Looks::Not;
+    }
+    if coating.surface.rough_interface(1.0).is_some() {
+        return Looks::Rough;
+    }
+    // These know one medium, one index and the mesh's own normals: where a network drives them, chance has the light.
+    let constant = coating.driven.is_none();
+    let smooth = constant && coating.surface.smooth_interface().is_some() && has_plain_normals(scene, owner);
+    let pays = settings.refracted_light == "on" || !plan.exact;
+    if smooth && pays { Looks::Smooth } else { Looks::Not }
 }
 
 /// Whether neighbouring pixels may share paths: all that they need to know of each other's is the way from vertex to vertex, so that nothing
@@ -135,7 +155,7 @@ fn plan(settings: &RenderSettings, interior: &Interior, thickness: f32, lit: boo
     let asked = |walk, exact| Plan {
         walk,
         exact,
-        bends: false,
+        looks: Looks::Not,
         shares: false,
         why: format!("walk={} asked for", settings.walk),
     };
@@ -143,7 +163,7 @@ fn plan(settings: &RenderSettings, interior: &Interior, thickness: f32, lit: boo
         return Plan {
             walk: Walk::Classical,
             exact: false,
-            bends: false,
+            looks: Looks::Not,
             shares: false,
             why: "it only absorbs, so there is nothing to guide".into(),
         };
@@ -163,7 +183,7 @@ fn plan(settings: &RenderSettings, interior: &Interior, thickness: f32, lit: boo
 
 fn automatic(interior: &Interior, thickness: f32, lit: bool, exact: bool) -> Plan {
     let depth = interior.medium.sigma_t.max_element() * thickness;
-    let classical = |why: String| Plan { walk: Walk::Classical, exact: false, bends: false, shares: false, why };
+    let classical = |why: String| Plan { walk: Walk::Classical, exact: false, looks: Looks::Not, shares: false, why };
     if !lit {
         return classical("nothing emits light, so there is no light to walk to".into());
     }
@@ -178,7 +198,7 @@ fn automatic(interior: &Interior, thickness: f32, lit: bool, exact: bool) -> Pla
     Plan {
         walk: Walk::Mixture,
         exact,
-        bends: false,
+        looks: Looks::Not,
         shares: false,
         why: format!("{depth:.0} mean free paths across, lit"),
     }

@@ -1,9 +1,10 @@
 //! Light at collisions: next-event estimation from within a medium, straight through matched boundaries and bent by
-//! smooth dielectric ones.
+//! dielectric ones.
 
 use super::bent::{Aim, Bent};
 use super::lobes::By;
 use super::nest::Nest;
+use super::rough::{Glance, Rough};
 use super::shadow::visibility_beyond;
 use super::{Bucket, add_to};
 use crate::bsdf::Response;
@@ -15,7 +16,7 @@ use crate::sampling::sampler::Sampler;
 use crate::scene::{InstanceEnclosure, Moment, SurfaceHit};
 use crate::subsurface::steps::Enclosure;
 use crate::subsurface::walk::Collision;
-use glam::Vec2;
+use glam::{Vec2, Vec3};
 
 /// Where a path's light goes.
 pub(super) struct Into<'a> {
@@ -26,6 +27,21 @@ pub(super) struct Into<'a> {
     pub lobes: &'a mut [Rgb],
     /// How the last collision looked for refracted light; `None`: it did not.
     pub aim: Option<Aim>,
+    /// The look that the collision takes through a rough boundary; `None`: none.
+    pub glance: Option<Glance>,
+}
+
+impl<'a> Into<'a> {
+    pub fn new(sample: &'a mut Sample, groups: &'a mut [Rgb], lobes: &'a mut [Rgb]) -> Self {
+        Self { sample, groups, lobes, aim: None, glance: None }
+    }
+}
+
+/// A boundary that bends light on its way in.
+#[derive(Clone, Copy)]
+pub(super) enum Bends<'a> {
+    Smooth(Bent<'a>),
+    Rough(Rough<'a>),
 }
 
 /// Light sampled at the collisions of a walk.
@@ -42,11 +58,18 @@ pub(super) struct CollisionLight<'a> {
     pub bucket: Bucket,
     pub by: By,
     /// The boundary that bends the light; `None`: matched.
-    pub bent: Option<Bent<'a>>,
+    pub bends: Option<Bends<'a>>,
 }
 
 impl CollisionLight<'_> {
-    /// Adds what a collision sees of a light. Returns the shadow rays that took.
+    /// Whether the collision at `p` looks for light, by what is known without its weight.
+    pub fn looks(&self, p: Vec3, enclosure: &InstanceEnclosure, sampler: &mut Sampler, into: &mut Into) -> bool {
+        let Some(Bends::Rough(rough)) = &self.bends else { return true };
+        into.glance = rough.glance(self, enclosure, p, sampler);
+        into.glance.is_some()
+    }
+
+    /// Adds what a collision that [`Self::looks`] sees of a light. Returns the shadow rays that took.
     pub fn add(
         &self,
         collision: &Collision,
@@ -54,9 +77,12 @@ impl CollisionLight<'_> {
         sampler: &mut Sampler,
         into: &mut Into,
     ) -> u64 {
-        match &self.bent {
+        match &self.bends {
             None => self.add_straight(collision, enclosure, sampler, into),
-            Some(bent) => bent.add(self, collision, enclosure, sampler, into),
+            Some(Bends::Smooth(bent)) => bent.add(self, collision, enclosure, sampler, into),
+            Some(Bends::Rough(rough)) => {
+                into.glance.take().map_or(0, |glance| rough.look(self, &glance, collision, enclosure, sampler, into))
+            }
         }
     }
 

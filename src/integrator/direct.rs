@@ -1,6 +1,7 @@
 //! Light: what a segment meets, and next-event estimation towards what it might have met.
 
 use super::nest::Nest;
+use super::rough::CameFrom;
 use super::shadow::visibility;
 use super::{Path, Previous};
 use crate::bsdf::{Bsdf, Side};
@@ -12,11 +13,21 @@ use crate::math::Rgb;
 use crate::medium::Medium;
 use crate::sampling::power_heuristic;
 use crate::sampling::sampler::Sampler;
-use crate::scene::Coating;
+use crate::scene::{Coating, Moment};
 use glam::{Vec2, Vec3};
 
 /// Generator of the R2 sequence (Roberts 2018): inverse powers of the plastic number.
 pub(super) const R2: Vec2 = Vec2::new(0.754_877_7, 0.569_840_3);
+
+/// What else finds the light that is sampled at a surface, beside its BSDF.
+#[derive(Clone, Copy)]
+pub(super) enum Rival<'a> {
+    Nothing,
+    /// Directions are drawn from a mixture of the BSDF and this.
+    Guide(&'a Exit),
+    /// Looks of the walk's last collision.
+    Looks(CameFrom<'a>),
+}
 
 impl Path<'_> {
     /// Adds the light shapes crossed before `t_max`.
@@ -125,14 +136,13 @@ impl Path<'_> {
         self.add(source, light);
     }
 
-    /// Light sampled at a surface, weighted against the sampling of the same direction by the BSDF, or by a mixture
-    /// of it and `guide`.
+    /// Light sampled at a surface, weighted against what else could have found it.
     pub(super) fn next_event(
         &mut self,
         si: &Interaction,
         bsdf: &Bsdf,
         lights: LightsAt,
-        guide: Option<&Exit>,
+        rival: Rival,
         sampler: &mut Sampler,
     ) {
         if bsdf.is_delta_only() {
@@ -140,9 +150,9 @@ impl Path<'_> {
             sampler.skip_2d();
         } else if matches!(si.side, Side::Inside) && self.inside.contains(si.instance) {
             let beyond = self.inside.left(si.instance);
-            self.next_event_amid(si, bsdf, lights, guide, Some(&beyond), sampler);
+            self.next_event_amid(si, bsdf, lights, rival, Some(&beyond), sampler);
         } else {
-            self.next_event_amid(si, bsdf, lights, guide, None, sampler);
+            self.next_event_amid(si, bsdf, lights, rival, None, sampler);
         }
     }
 
@@ -152,7 +162,7 @@ impl Path<'_> {
         si: &Interaction,
         bsdf: &Bsdf,
         lights: LightsAt,
-        guide: Option<&Exit>,
+        rival: Rival,
         beyond: Option<&Nest>,
         sampler: &mut Sampler,
     ) {
@@ -166,7 +176,8 @@ impl Path<'_> {
             for i in 0..count {
                 // Strata of the choice: neighbours in the tree are neighbours in space.
                 let u_choice = (u_choice + i as f32) / count as f32;
-                self.add_light(si, bsdf, guide, beyond, draws.sample(u_choice, lattice(u, i)));
+                let u = lattice(u, i);
+                self.add_light(si, bsdf, rival, beyond, draws.sample(u_choice, u), u);
             }
             return;
         }
@@ -181,9 +192,10 @@ impl Path<'_> {
             }
             let first = sampler.next_2d();
             for i in 0..count {
-                let sample = all.sample_light(light, si.p, n, lattice(first, i));
+                let u = lattice(first, i);
+                let sample = all.sample_light(light, si.p, n, u);
                 let counted = sample.map(|sample| LightSample { pdf: sample.pdf * count as f32, ..sample });
-                self.add_light(si, bsdf, guide, beyond, counted);
+                self.add_light(si, bsdf, rival, beyond, counted, u);
             }
         }
     }
@@ -192,28 +204,53 @@ impl Path<'_> {
         &mut self,
         si: &Interaction,
         bsdf: &Bsdf,
-        guide: Option<&Exit>,
+        rival: Rival,
         beyond: Option<&Nest>,
         light: Option<LightSample>,
+        u: Vec2,
     ) {
-        let Some(light) = light.filter(|light| light.pdf > 0.0 && light.pdf.is_finite()) else { return };
-        let wi = si.local(light.wi);
-        let f = bsdf.eval(wi);
-        // Towards the outside only, and shading and geometric normal must agree which side that is.
-        let hidden = si.horizon().is_some_and(|n| light.wi.dot(n) <= 0.0 || wi.z <= 0.0);
-        if f == Rgb::ZERO || light.radiance == Rgb::ZERO || hidden {
-            return;
-        }
-        self.stats.shadow_rays += 1;
+        let Some(light) = light else { return };
         let inside = beyond.unwrap_or(&self.inside);
-        let origin = Some((si.instance, si.triangle));
-        let (o, reach) = (si.origin(light.wi), light.reach());
-        let visible = visibility(self.scene, light.light, o, light.wi, reach, origin, inside);
-        let pdf = || guide.map_or(bsdf.pdf(wi), |guide| guide.pdf(bsdf.pdf(wi), light.wi));
-        let weight = if light.delta { 1.0 } else { power_heuristic(light.pdf, pdf()) };
-        let by = self.response(bsdf, wi, f, false);
-        self.add_by(by, light.light, f * visible * light.radiance * (weight / light.pdf));
+        let guide = if let Rival::Guide(guide) = rival { Some(guide) } else { None };
+        let Some(arriving) = arriving(self.scene, si, bsdf, guide, inside, &light) else { return };
+        self.stats.shadow_rays += 1;
+        let weight = if let Rival::Looks(from) = rival { from.weight(self.scene, light.light, u) } else { 1.0 };
+        let by = self.response(bsdf, si.local(light.wi), arriving.f, false);
+        self.add_by(by, light.light, weight * arriving.light);
     }
+}
+
+/// Light of a sample that a surface sends on.
+pub(super) struct Arriving {
+    /// f |cos|.
+    pub f: Rgb,
+    /// f / pdf of it, weighted against the sampling of the same direction by the BSDF, or by a mixture of it and a guide.
+    pub light: Rgb,
+}
+
+/// What arrives of a light sample, `inside` the bodies around its way. `None`: nothing could, and no shadow ray was cast.
+pub(super) fn arriving(
+    scene: Moment,
+    si: &Interaction,
+    bsdf: &Bsdf,
+    guide: Option<&Exit>,
+    inside: &Nest,
+    light: &LightSample,
+) -> Option<Arriving> {
+    (light.pdf > 0.0 && light.pdf.is_finite()).then_some(())?;
+    let wi = si.local(light.wi);
+    let f = bsdf.eval(wi);
+    // Towards the outside only, and shading and geometric normal must agree which side that is.
+    let hidden = si.horizon().is_some_and(|n| light.wi.dot(n) <= 0.0 || wi.z <= 0.0);
+    if f == Rgb::ZERO || light.radiance == Rgb::ZERO || hidden {
+        return None;
+    }
+    let origin = Some((si.instance, si.triangle));
+    let (o, reach) = (si.origin(light.wi), light.reach());
+    let visible = visibility(scene, light.light, o, light.wi, reach, origin, inside);
+    let pdf = || guide.map_or(bsdf.pdf(wi), |guide| guide.pdf(bsdf.pdf(wi), light.wi));
+    let weight = if light.delta { 1.0 } else { power_heuristic(light.pdf, pdf()) };
+    Some(Arriving { f, light: f * visible * light.radiance * (weight / light.pdf) })
 }
 
 /// A hit as the light's pdf wants it: its distance from `p`, where the direction was sampled. A segment that

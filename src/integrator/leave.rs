@@ -1,6 +1,6 @@
 //! How light leaves a diffuse boundary: in one way or several, and which later walks are worth their time.
 
-use super::direct::R2;
+use super::direct::{R2, Rival};
 use super::footprint::Cone;
 use super::lobes::By;
 use super::nest::Nest;
@@ -48,7 +48,7 @@ impl Path<'_> {
         let lights = self.guide.exit_choice(exit.instance, p, exit.ng);
         let cell = self.guide.exit_cell(exit.instance, p, exit.ng);
         let guide = cell.and_then(|cell| self.guide.exit(cell));
-        self.next_event(exit, &bsdf, lights, guide, sampler);
+        self.next_event(exit, &bsdf, lights, guide.map_or(Rival::Nothing, Rival::Guide), sampler);
         if let Some(begun) = self.begun.filter(|begun| self.depth == 0 && begun.onward.ways > 1) {
             self.leave_in_ways(&begun, exit, &bsdf, lights, cell, guide, sampler);
             return None;

@@ -1,15 +1,17 @@
 //! Passing an object's inside: sub-walks from boundary to boundary until the light gets out.
 
 use super::bent::{Bent, Refracted};
-use super::collision::{CollisionLight, Into};
+use super::collision::{Bends, CollisionLight, Into};
+use super::direct::Rival;
 use super::entry::Entry;
 use super::leave::Begun;
 use super::nest::Nest;
+use super::rough::{CameFrom, Rough};
 use super::watch::drawn;
 use super::{Path, Previous};
 use crate::bsdf::{Boundary, Event, Response, Side, Surface};
 use crate::guiding::look::shares_by_kind;
-use crate::guiding::plan::{Plan, Walk};
+use crate::guiding::plan::{Looks, Plan, Walk};
 use crate::interaction::Interaction;
 use crate::math::Rgb;
 use crate::sampling::sampler::Sampler;
@@ -27,12 +29,21 @@ pub(super) type Scattered = Option<(Vec3, f32)>;
 pub(super) struct Passage<'a> {
     pub enclosure: InstanceEnclosure<'a>,
     pub instance: u32,
-    /// The boundary, where light is sampled through it.
-    pub bent: Option<Bent<'a>>,
+    /// The boundary, where it bends light that is sampled through it.
+    pub bends: Option<Bends<'a>>,
     pub plan: &'a Plan,
     pub medium: &'a GuidedMedium,
     /// No boundary was met yet.
     pub first: bool,
+}
+
+impl Passage<'_> {
+    /// What looks through a rough boundary compete with where a walk meets it along `d`, if they do.
+    fn came_from(&self, scattered: Scattered, d: Vec3) -> Option<CameFrom<'_>> {
+        let Some(Bends::Rough(rough)) = &self.bends else { return None };
+        let (x, _) = scattered?;
+        Some(CameFrom { rough, enclosure: &self.enclosure, instance: self.instance, x, d })
+    }
 }
 
 impl<'a> Path<'a> {
@@ -63,15 +74,21 @@ impl<'a> Path<'a> {
         }
         let enclosure = InstanceEnclosure::new(scene, si.instance);
         let beside = self.inside.index_beside(si.instance);
-        // The search knows the boundary in air.
-        let beams = self.guide.beams_in(si.instance);
-        let bends = plan.bends && beside == 1.0;
-        let bent = if bends { Bent::new(scene, si.instance, si.surface, beams) } else { None };
+        let bends = match plan.looks {
+            // The search knows the boundary in air.
+            Looks::Smooth if beside == 1.0 => {
+                Bent::new(scene, si.instance, si.surface, self.guide.beams_in(si.instance)).map(Bends::Smooth)
+            }
+            Looks::Rough => {
+                Rough::new(&coating.surface, interior.medium, beside, self.cone.width).map(Bends::Rough)
+            }
+            _ => None,
+        };
         let (instance, first) = (si.instance, self.depth == 0);
-        let mut passage = Passage { enclosure, instance, bent, plan, medium, first };
+        let mut passage = Passage { enclosure, instance, bends, plan, medium, first };
         let around = match boundary {
             Boundary::IndexMatched => Some(self.crossed(si, coating)?),
-            Boundary::Dielectric if passage.bent.is_some() => Some(self.inside),
+            Boundary::Dielectric if passage.bends.is_some() => Some(self.inside),
             _ => None,
         };
         let entry = BoundaryHit::of(hit);
@@ -108,13 +125,14 @@ impl<'a> Path<'a> {
                 Boundary::Dielectric => {
                     let p = passage.enclosure.point(&at);
                     last = self.way_from_light(&passage, scattered, last, p, d, start.p);
-                    match self.meet_dielectric(&coating.surface, beside, &exit, p, sampler)? {
+                    let from = passage.came_from(scattered, d);
+                    match self.meet_dielectric(&coating.surface, beside, &exit, p, from, sampler)? {
                         Some(reflected) => {
                             self.cross()?;
                             start = Start { p, d: reflected, normal: exit.ng, hit: at, weight: Rgb::ONE };
                         }
                         None => {
-                            if let (Some(last), Some(bent)) = (last, &passage.bent) {
+                            if let (Some(last), Some(Bends::Smooth(bent))) = (last, &passage.bends) {
                                 self.previous = Previous::Refracted(last.out(bent, &exit));
                             }
                             return Some(());
@@ -155,9 +173,9 @@ impl<'a> Path<'a> {
     where
         'a: 'b,
     {
-        let (scene, instance, bent) = (self.scene, passage.instance, passage.bent);
+        let (scene, instance, bends) = (self.scene, passage.instance, passage.bends);
         let (bucket, by) = (self.bucket_of_media(), self.by);
-        Some(CollisionLight { scene, instance, around: around?, scale: 1.0, bucket, by, bent })
+        Some(CollisionLight { scene, instance, around: around?, scale: 1.0, bucket, by, bends })
     }
 
     /// What MIS needs where a path meets a light beyond a bent boundary: its way to `p` (walk space) along `d` since its last
@@ -171,7 +189,7 @@ impl<'a> Path<'a> {
         d: Vec3,
         start: Vec3,
     ) -> Option<Refracted> {
-        let bent = passage.bent.as_ref()?;
+        let Some(Bends::Smooth(bent)) = &passage.bends else { return None };
         match scattered {
             Some((x, pdf)) => bent.from(passage.instance, d, pdf, self.aim?).further(bent, (p - x).length()),
             None => last?.further(bent, (p - start).length()),
@@ -237,7 +255,7 @@ impl<'a> Path<'a> {
             cp: kind == Walk::Cp,
             entry: self.log.as_mut().and_then(|log| log.entry.as_mut()).filter(|_| passage.first),
             late: None,
-            into: Into { sample: &mut self.sample, groups: &mut *self.groups, lobes: &mut *self.lobes, aim: None },
+            into: Into::new(&mut self.sample, &mut *self.groups, &mut *self.lobes),
             shadow_rays: 0,
         };
         let stats = &mut self.stats.walk;
@@ -317,21 +335,21 @@ impl<'a> Path<'a> {
             };
             followed
         };
-        let mut into = Into { sample: &mut self.sample, groups: &mut *self.groups, lobes: &mut *self.lobes, aim: None };
+        let mut into = Into::new(&mut self.sample, &mut *self.groups, &mut *self.lobes);
         let shadow_rays = &mut self.stats.shadow_rays;
         let mut entry = self.log.as_mut().and_then(|log| log.entry.as_mut()).filter(|_| passage.first);
         let collide = |collision: &Collision, sampler: &mut Sampler| {
             if let Some(entry) = &mut entry {
                 entry.collision(collision.p, collision.weight / start.weight, PerTechnique::default());
             }
-            if let Some(light) = &light {
+            if let Some(light) = light.as_ref().filter(|light| light.looks(collision.p, enclosure, sampler, &mut into)) {
                 *shadow_rays += light.add(collision, enclosure, sampler, &mut into);
             }
         };
         let medium = &passage.medium.medium;
         let stats = &mut self.stats.walk;
         let segments = stats.steps;
-        let ahead = passage.bent.is_some();
+        let ahead = matches!(passage.bends, Some(Bends::Smooth(_)));
         let end = walk(enclosure, medium, slab, start, ahead, sampler, stats, late, collide);
         self.aim = into.aim;
         if let (Some(entry), WalkEnd::Boundary { hit, d, weight, .. }) = (self.entry(passage.first), &end) {
@@ -353,11 +371,12 @@ impl<'a> Path<'a> {
         beside: f32,
         exit: &Interaction,
         p: Vec3,
+        from: Option<CameFrom>,
         sampler: &mut Sampler,
     ) -> Option<Option<Vec3>> {
         let bsdf = surface.bsdf_beside(exit.local(exit.wo), Side::Inside, beside);
         let lights = self.guide.exit_choice(exit.instance, p, exit.ng);
-        self.next_event(exit, &bsdf, lights, None, sampler);
+        self.next_event(exit, &bsdf, lights, from.map_or(Rival::Nothing, Rival::Looks), sampler);
         let chosen = bsdf.sample(sampler.next_1d(), sampler.next_2d())?;
         let wi = exit.frame.to_world(chosen.wi);
         let by = self.response(&bsdf, chosen.wi, chosen.f, chosen.delta);
@@ -416,6 +435,11 @@ impl<const LIT: bool> Visitor for Collisions<'_, LIT> {
             self.late = away(p, self.passage.enclosure.closest_point(p)?);
         }
         self.late
+    }
+
+    fn looks(&mut self, p: Vec3, sampler: &mut Sampler) -> bool {
+        let enclosure = &self.passage.enclosure;
+        self.light.as_ref().is_some_and(|light| light.looks(p, enclosure, sampler, &mut self.into))
     }
 
     fn collide(&mut self, collision: &Collision, sampler: &mut Sampler) {

@@ -15,6 +15,7 @@ mod medium;
 mod nest;
 mod probe;
 mod reuse;
+mod rough;
 mod shadow;
 mod surface;
 mod wade;

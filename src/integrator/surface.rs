@@ -1,5 +1,6 @@
 //! The vertex at a surface: the light that it is sent, and what becomes of the path there.
 
+use super::direct::Rival;
 use super::nest::{hides, side_of};
 use super::{Bucket, Path, Previous};
 use crate::bsdf::{Boundary, Bsdf, BsdfSample, Event, Response, Side, Surface};
@@ -43,7 +44,7 @@ impl Path<'_> {
             self.bucket = Bucket::Indirect;
         }
         let lights = if self.depth == 0 { self.guide.first_hit_choice() } else { self.lights_at(si, coating) };
-        self.next_event(si, &bsdf, lights, None, sampler);
+        self.next_event(si, &bsdf, lights, Rival::Nothing, sampler);
         if let Some(entry) = entry {
             // The path goes on with numbers of its own, whatever the walk takes.
             let beside = sampler.parted();

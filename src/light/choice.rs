@@ -159,7 +159,7 @@ impl<F: Fn(u32) -> f64> Draws<'_, F> {
 
     /// A light and the probability it was chosen with; `None` where no light can reach p, or none of the cluster that was
     /// chosen.
-    pub(super) fn choose(&mut self, u: f32) -> Option<(u32, f32)> {
+    pub fn choose(&mut self, u: f32) -> Option<(u32, f32)> {
         let lights = self.lights;
         let beside = lights.weigh(self.p, self.n, self.choice.shares());
         let in_tree = self

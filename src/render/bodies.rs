@@ -1,7 +1,7 @@
 //! Which bodies are worth a cache of their own, and how many records each: by what the camera may see of them.
 
 use crate::guiding::Guide;
-use crate::guiding::plan::Plan;
+use crate::guiding::plan::{Looks, Plan};
 use crate::scene::{Instance, Scene};
 use std::collections::{BTreeMap, HashMap};
 
@@ -25,7 +25,7 @@ impl Aim {
     fn needs(self, guide: &Guide, plan: &Plan) -> bool {
         match self {
             Self::Records => guide.must_know(plan),
-            Self::Beams => plan.bends,
+            Self::Beams => plan.looks == Looks::Smooth,
         }
     }
 

@@ -10,7 +10,7 @@ use crate::flat::RenderSettings;
 use crate::guiding::beams::Beam;
 use crate::guiding::cache::Record;
 use crate::guiding::field::{Field, FieldSettings};
-use crate::guiding::plan::{Plan, Walk};
+use crate::guiding::plan::{Looks, Plan, Walk};
 use crate::guiding::{ExitLights, Guide};
 use crate::integrator::{PathStats, beams_at, probe};
 use crate::light::Parts;
@@ -90,7 +90,7 @@ impl<Over: Fn() -> bool> Training<'_, Over> {
     /// Fills the beams and fields of `guide` that its plans need.
     pub fn train(&mut self, guide: &mut Guide) -> Trained {
         let scene = self.scene;
-        if !guide.plans.iter().flatten().any(|plan| guide.must_know(plan) || plan.bends) {
+        if !guide.plans.iter().flatten().any(|plan| guide.must_know(plan) || plan.looks == Looks::Smooth) {
             return Trained::default();
         }
         let count = self.count(guide);

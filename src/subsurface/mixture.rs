@@ -23,7 +23,7 @@ pub struct MixtureEnd<H> {
 
 /// What a caller may add to a walk.
 pub trait Visitor {
-    /// Light is sampled at collisions (index-matched boundaries): the walk then keeps the pdf of its directions.
+    /// Light is sampled at collisions: the walk then keeps the pdf of the directions that follow.
     const AT_COLLISIONS: bool;
 
     /// The first collisions of a walk at which [`Self::vertex`] is called.
@@ -42,7 +42,12 @@ pub trait Visitor {
         None
     }
 
-    /// Called at every collision, before its direction is drawn.
+    /// Whether the collision at `p` samples light.
+    fn looks(&mut self, _p: Vec3, _sampler: &mut Sampler) -> bool {
+        Self::AT_COLLISIONS
+    }
+
+    /// Called at those that do, before their direction is drawn.
     fn collide(&mut self, _collision: &Collision, _sampler: &mut Sampler) {}
 }
 
@@ -116,7 +121,7 @@ pub fn walk_mixture<E: Enclosure, V: Visitor>(
         if walk.prefix.collisions % ROULETTE_EVERY == 0 && !walk.survives(sampler) {
             return walk.end(WalkEnd::Absorbed, At::Collision, stats);
         }
-        let pdf = if V::AT_COLLISIONS {
+        let pdf = if V::AT_COLLISIONS && visitor.looks(steps.p, sampler) {
             walk.scatter_lit(steps.p, visitor, sampler)
         } else {
             walk.prefix.last = walk.direction(sampler);
