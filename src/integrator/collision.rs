@@ -4,7 +4,7 @@
 use super::bent::{Aim, Bent};
 use super::lobes::By;
 use super::nest::Nest;
-use super::rough::{Glance, Rough};
+use super::rough::{Glance, Rough, Sought};
 use super::shadow::visibility_beyond;
 use super::{Bucket, add_to};
 use crate::bsdf::Response;
@@ -27,13 +27,15 @@ pub(super) struct Into<'a> {
     pub lobes: &'a mut [Rgb],
     /// How the last collision looked for refracted light; `None`: it did not.
     pub aim: Option<Aim>,
-    /// The look that the collision takes through a rough boundary; `None`: none.
+    /// What collisions look for through a rough boundary.
+    pub sought: Sought,
+    /// The look that the collision takes there; `None`: none.
     pub glance: Option<Glance>,
 }
 
 impl<'a> Into<'a> {
     pub fn new(sample: &'a mut Sample, groups: &'a mut [Rgb], lobes: &'a mut [Rgb]) -> Self {
-        Self { sample, groups, lobes, aim: None, glance: None }
+        Self { sample, groups, lobes, aim: None, sought: Sought::default(), glance: None }
     }
 }
 
@@ -59,13 +61,15 @@ pub(super) struct CollisionLight<'a> {
     pub by: By,
     /// The boundary that bends the light; `None`: matched.
     pub bends: Option<Bends<'a>>,
+    /// Outward normal of the boundary where the walk started.
+    pub entry: Vec3,
 }
 
 impl CollisionLight<'_> {
     /// Whether the collision at `p` looks for light, by what is known without its weight.
     pub fn looks(&self, p: Vec3, enclosure: &InstanceEnclosure, sampler: &mut Sampler, into: &mut Into) -> bool {
         let Some(Bends::Rough(rough)) = &self.bends else { return true };
-        into.glance = rough.glance(self, enclosure, p, sampler);
+        into.glance = rough.glance(self, enclosure, p, sampler, into);
         into.glance.is_some()
     }
 

@@ -39,10 +39,10 @@ pub(super) struct Passage<'a> {
 
 impl Passage<'_> {
     /// What looks through a rough boundary compete with where a walk meets it along `d`, if they do.
-    fn came_from(&self, scattered: Scattered, d: Vec3) -> Option<CameFrom<'_>> {
+    fn came_from(&self, scattered: Scattered, entry: Vec3, d: Vec3) -> Option<CameFrom<'_>> {
         let Some(Bends::Rough(rough)) = &self.bends else { return None };
         let (x, _) = scattered?;
-        Some(CameFrom { rough, enclosure: &self.enclosure, instance: self.instance, x, d })
+        Some(CameFrom { rough, enclosure: &self.enclosure, instance: self.instance, entry, x, d })
     }
 }
 
@@ -79,9 +79,7 @@ impl<'a> Path<'a> {
             Looks::Smooth if beside == 1.0 => {
                 Bent::new(scene, si.instance, si.surface, self.guide.beams_in(si.instance)).map(Bends::Smooth)
             }
-            Looks::Rough => {
-                Rough::new(&coating.surface, interior.medium, beside, self.cone.width).map(Bends::Rough)
-            }
+            Looks::Rough => Rough::new(&coating.surface, interior.medium, beside, self.cone.width).map(Bends::Rough),
             _ => None,
         };
         let (instance, first) = (si.instance, self.depth == 0);
@@ -105,7 +103,7 @@ impl<'a> Path<'a> {
         }
         let mut last = None;
         loop {
-            let light = self.light_at_collisions(&passage, around.as_ref());
+            let light = self.light_at_collisions(&passage, around.as_ref(), start.normal);
             let (at, d, scattered) = self.sub_walk(&passage, start, light, sampler)?;
             if let Some((p, pdf)) = scattered {
                 self.be_scattered();
@@ -125,7 +123,7 @@ impl<'a> Path<'a> {
                 Boundary::Dielectric => {
                     let p = passage.enclosure.point(&at);
                     last = self.way_from_light(&passage, scattered, last, p, d, start.p);
-                    let from = passage.came_from(scattered, d);
+                    let from = passage.came_from(scattered, start.normal, d);
                     match self.meet_dielectric(&coating.surface, beside, &exit, p, from, sampler)? {
                         Some(reflected) => {
                             self.cross()?;
@@ -169,13 +167,18 @@ impl<'a> Path<'a> {
     }
 
     /// Light reaches collisions straight only where the boundary does not bend it. `around`: of bodies, where it does.
-    fn light_at_collisions<'b>(&self, passage: &Passage<'b>, around: Option<&'b Nest>) -> Option<CollisionLight<'b>>
+    fn light_at_collisions<'b>(
+        &self,
+        passage: &Passage<'b>,
+        around: Option<&'b Nest>,
+        entry: Vec3,
+    ) -> Option<CollisionLight<'b>>
     where
         'a: 'b,
     {
         let (scene, instance, bends) = (self.scene, passage.instance, passage.bends);
         let (bucket, by) = (self.bucket_of_media(), self.by);
-        Some(CollisionLight { scene, instance, around: around?, scale: 1.0, bucket, by, bends })
+        Some(CollisionLight { scene, instance, around: around?, scale: 1.0, bucket, by, bends, entry })
     }
 
     /// What MIS needs where a path meets a light beyond a bent boundary: its way to `p` (walk space) along `d` since its last
@@ -342,7 +345,8 @@ impl<'a> Path<'a> {
             if let Some(entry) = &mut entry {
                 entry.collision(collision.p, collision.weight / start.weight, PerTechnique::default());
             }
-            if let Some(light) = light.as_ref().filter(|light| light.looks(collision.p, enclosure, sampler, &mut into)) {
+            if let Some(light) = light.as_ref().filter(|light| light.looks(collision.p, enclosure, sampler, &mut into))
+            {
                 *shadow_rays += light.add(collision, enclosure, sampler, &mut into);
             }
         };

@@ -1,15 +1,15 @@
 //! Light at collisions behind a rough dielectric: looked for where facets of the boundary ahead refract it to.
 //!
-//! A look sees a light straight from the collision, as if nothing bent it, lets a facet of the boundary on that way refract it, and
-//! follows the refracted way to where it really leaves: there light is sampled with the same random numbers. A walk that goes
-//! that way by chance and samples light with such numbers could have been such a look, whose density is known in closed form:
-//! both share the light by the power heuristic.
+//! A look takes the random numbers of a light sample, sees that light from the collision, and finds where it would refract to there;
+//! a facet of the boundary at that place draws a direction, which is followed to where it really leaves. There the light is
+//! sampled with the same numbers. A walk that goes that way by chance and samples light with such numbers could have been
+//! such a look, whose density is known in closed form: both share the light by the power heuristic.
 
 use super::collision::{CollisionLight, Into};
 use super::direct::arriving;
 use crate::bsdf::fresnel::refract;
-use crate::bsdf::{Bsdf, Dielectric, Side, Surface};
-use crate::light::Choice;
+use crate::bsdf::{Dielectric, Side, Surface};
+use crate::light::{Choice, LightsAt};
 use crate::math::{Frame, PI, mean};
 use crate::medium::Medium;
 use crate::sampling::power_heuristic;
@@ -19,15 +19,22 @@ use crate::subsurface::steps::Enclosure;
 use crate::subsurface::walk::Collision;
 use glam::{Vec2, Vec3};
 
-/// Looks of a collision at the boundary: deeper ones have as many less as less light gets there.
+/// Looks of a collision at the boundary: deeper ones have as many less as less light gets there. A flat optimum on
+/// `dragon_rough` (docs/performance.md, "Rough dielectrics"), as the next three.
 const LOOKS: f32 = 0.5;
 
 /// Mean free paths of the clearest channel from which a boundary is seen: e^-8 of the light of what is farther is left to chance.
 const REACH: f32 = 8.0;
 
+/// Collisions that look for the same point of a light: to find one in a map costs as much as a ray.
+const TOGETHER: u32 = 4;
+
+/// Solid-angle pdf of a light's sample below which it is left to chance: directions of a rough boundary find so broad a light.
+const BROAD: f32 = 2.0;
+
 /// Position errors that a collision has to be away from the boundary: closer to it, rays may miss the boundary that walks
 /// know of.
-const CLEAR: f32 = 256.0;
+const CLEAR: f32 = 16.0;
 
 /// Of the directions that walks draw, for MIS: nominal, so that no walk has to know its own.
 const BY_CHANCE: f32 = 0.25 / PI;
@@ -46,7 +53,7 @@ pub(super) struct Rough<'a> {
     reach: f32,
 }
 
-/// Where a light seems to be from a collision, and the boundary on the way.
+/// Where a light seems to be from a collision: the boundary on the way.
 #[derive(Debug, Clone, Copy)]
 struct Ahead {
     frame: Frame,
@@ -56,14 +63,30 @@ struct Ahead {
     expected: f32,
 }
 
-/// A look that is worth taking.
+/// A point of a light.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Glance {
+struct Point {
     light: u32,
     /// Probability of its choice.
     chosen: f32,
     /// Random numbers of the light sample.
     u: Vec2,
+    /// Its direction, where that is the same from everywhere.
+    wi: Option<Vec3>,
+}
+
+/// What the collisions of a walk look for, one after the other.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Sought {
+    /// Collisions until the next is drawn, whatever they see of this one.
+    left: u32,
+    point: Option<Point>,
+}
+
+/// A look that is worth taking.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Glance {
+    point: Point,
     ahead: Ahead,
 }
 
@@ -73,6 +96,8 @@ pub(super) struct CameFrom<'a> {
     pub rough: &'a Rough<'a>,
     pub enclosure: &'a InstanceEnclosure<'a>,
     pub instance: u32,
+    /// Outward normal where the walk started.
+    pub entry: Vec3,
     /// Walk space.
     pub x: Vec3,
     /// Unit.
@@ -87,49 +112,61 @@ impl<'a> Rough<'a> {
         Some(Self { surface, facets, medium, beside, width, reach })
     }
 
-    /// The boundary on the way from `x` to where `light` is by the numbers `u`; `None`: it is not looked for.
-    fn ahead(
-        &self,
-        scene: Moment,
-        enclosure: &InstanceEnclosure,
-        instance: u32,
-        x: Vec3,
-        light: u32,
-        u: Vec2,
-    ) -> Option<Ahead> {
-        let wi = scene.lights_for(instance).sample_light(light, enclosure.to_render(x), None, u)?.wi;
-        let (t, hit) = enclosure.cast(x, wi, self.reach, None)?;
-        (t > CLEAR * enclosure.position_error()).then_some(())?;
-        let at = scene.interaction(&enclosure.surface_hit(&hit), wi, Side::Inside);
-        let wo = at.local(wi);
-        let refracted = refract(wo, Vec3::Z, self.facets.eta).filter(|_| wo.z > 0.0)?;
-        // As far as the boundary is a plane.
-        let way = t * wo.z / refracted.z.abs();
-        Some(Ahead { frame: at.frame, wo, expected: LOOKS * mean(self.medium.transmittance(way)) })
-    }
-
-    /// Solid-angle density of looks along `d`.
-    fn density(&self, ahead: &Ahead, d: Vec3) -> f32 {
-        let w = ahead.frame.to_local(-d);
-        if w.z < 0.0 { ahead.expected * self.facets.pdf(ahead.wo, w) } else { 0.0 }
-    }
-
-    /// Whether the collision at `x` looks, and for what: what it carries is not known yet.
+    /// Whether the collision at `x` looks, and for what, by what is known without its weight.
     pub fn glance(
         &self,
         to: &CollisionLight,
         enclosure: &InstanceEnclosure,
         x: Vec3,
         sampler: &mut Sampler,
+        into: &mut Into,
     ) -> Option<Glance> {
         let chance = sampler.random();
         (chance < LOOKS).then_some(())?;
-        let lights = to.scene.lights_for(to.instance);
-        let (light, chosen) =
-            lights.draws(enclosure.to_render(x), None, Choice::ONE).choose(sampler.random())?;
-        let u = Vec2::new(sampler.random(), sampler.random());
-        let ahead = self.ahead(to.scene, enclosure, to.instance, x, light, u)?;
-        (chance < ahead.expected).then_some(Glance { light, chosen, u, ahead })
+        let (lights, p) = (to.scene.lights_for(to.instance), enclosure.to_render(x));
+        if into.sought.left == 0 {
+            into.sought = Sought { left: TOGETHER, point: draw(lights, p, sampler) };
+        }
+        into.sought.left -= 1;
+        let point = into.sought.point?;
+        let wi = point.wi.or_else(|| towards(lights, point.light, p, point.u))?;
+        let ahead = self.ahead(to.scene, enclosure, to.entry, x, wi)?;
+        (chance < ahead.expected).then_some(Glance { point, ahead })
+    }
+
+    /// The boundary on the way from `x` to a light that is straight along `wi`; `None`: it is not looked for.
+    fn ahead(&self, scene: Moment, enclosure: &InstanceEnclosure, entry: Vec3, x: Vec3, wi: Vec3) -> Option<Ahead> {
+        // As if the boundary were the plane of the entry; as if it were that which is found there.
+        let guess = if wi.dot(entry) > 0.0 { -refract(wi, entry, self.facets.eta)? } else { wi };
+        let (_, first, refracted) = self.boundary(scene, enclosure, x, guess, wi)?;
+        let guess = -first.to_world(refracted);
+        let (t, frame, refracted) = self.boundary(scene, enclosure, x, guess, wi)?;
+        let way = t * frame.n.dot(guess) / refracted.z.abs();
+        let expected = LOOKS * mean(self.medium.transmittance(way)).min(1.0);
+        Some(Ahead { frame, wo: frame.to_local(wi), expected })
+    }
+
+    /// The boundary from `x` along `d`: how far, its frame, and where it refracts light from `wi` to, local.
+    fn boundary(
+        &self,
+        scene: Moment,
+        enclosure: &InstanceEnclosure,
+        x: Vec3,
+        d: Vec3,
+        wi: Vec3,
+    ) -> Option<(f32, Frame, Vec3)> {
+        let (t, hit) = enclosure.cast(x, d, self.reach, None)?;
+        (t > CLEAR * enclosure.position_error()).then_some(())?;
+        let frame = scene.interaction(&enclosure.surface_hit(&hit), d, Side::Inside).frame;
+        let wo = frame.to_local(wi);
+        let refracted = refract(wo, Vec3::Z, self.facets.eta).filter(|_| wo.z > 0.0)?;
+        Some((t, frame, refracted))
+    }
+
+    /// Solid-angle density of looks along `d`.
+    fn density(&self, ahead: &Ahead, d: Vec3) -> f32 {
+        let w = ahead.frame.to_local(-d);
+        if w.z < 0.0 { ahead.expected * self.facets.pdf(ahead.wo, w) } else { 0.0 }
     }
 
     /// Adds what a collision sees. Returns the shadow rays that took.
@@ -142,38 +179,51 @@ impl<'a> Rough<'a> {
         sampler: &mut Sampler,
         into: &mut Into,
     ) -> u64 {
-        let Glance { light, chosen, u, ahead } = glance;
-        let u_facet = Vec2::new(sampler.random(), sampler.random());
-        let w = self.facets.sample(ahead.wo, sampler.random(), u_facet).filter(|w| w.z < 0.0);
+        let Glance { point: Point { light, chosen, u, .. }, ahead } = *glance;
+        let (u_choice, u_facet) = (sampler.random(), Vec2::new(sampler.random(), sampler.random()));
+        let w = self.facets.sample(ahead.wo, u_choice, u_facet).filter(|w| w.z < 0.0);
         let Some(d) = w.map(|w| -ahead.frame.to_world(w)) else { return 0 };
         let Some((t, hit)) = enclosure.cast(collision.p, d, f32::INFINITY, None) else { return 0 };
         let mut exit = to.scene.interaction(&enclosure.surface_hit(&hit), d, Side::Inside);
         to.scene.bend(&mut exit, self.width);
-        let bsdf = self.seen_from(exit.local(exit.wo));
-        let sample = to.scene.lights_for(to.instance).sample_light(*light, exit.p, exit.horizon(), *u);
+        let bsdf = self.surface.bsdf_beside(exit.local(exit.wo), Side::Inside, self.beside);
+        let sample = to.scene.lights_for(to.instance).sample_light(light, exit.p, exit.horizon(), u);
         let arriving = sample.and_then(|sample| arriving(to.scene, &exit, &bsdf, None, to.around, &sample));
         let Some(arriving) = arriving else { return 0 };
-        let density = self.density(ahead, d);
         let (phase, _) = (collision.scatter)(d);
-        let value = phase * power_heuristic(density, BY_CHANCE) / (density * chosen);
-        let passed = collision.weight * self.medium.transmittance(t);
-        let seen = passed * arriving.light * value;
+        let passed = collision.weight * self.medium.transmittance(t) * phase;
+        let density = self.density(&ahead, d);
+        let seen = passed * arriving.light * (power_heuristic(density, BY_CHANCE) / (density * chosen));
         if seen.is_finite() {
-            to.give(into, *light, seen);
+            to.give(into, light, seen);
         }
         1
-    }
-
-    /// The boundary from within, for the local direction `wo`.
-    fn seen_from(&self, wo: Vec3) -> Bsdf {
-        self.surface.bsdf_beside(wo, Side::Inside, self.beside)
     }
 }
 
 impl CameFrom<'_> {
     /// MIS weight of `light` sampled with the numbers `u` where chance has led.
     pub fn weight(&self, scene: Moment, light: u32, u: Vec2) -> f32 {
-        let ahead = self.rough.ahead(scene, self.enclosure, self.instance, self.x, light, u);
-        ahead.map_or(1.0, |ahead| power_heuristic(BY_CHANCE, self.rough.density(&ahead, self.d)))
+        let Self { rough, enclosure, entry, x, d, .. } = *self;
+        let wi = towards(scene.lights_for(self.instance), light, enclosure.to_render(x), u);
+        let ahead = wi.and_then(|wi| rough.ahead(scene, enclosure, entry, x, wi));
+        ahead.map_or(1.0, |ahead| power_heuristic(BY_CHANCE, rough.density(&ahead, d)))
     }
+}
+
+/// A point of a light as it is chosen at `p`, render space.
+fn draw(lights: LightsAt, p: Vec3, sampler: &mut Sampler) -> Option<Point> {
+    let (light, chosen) = lights.draws(p, None, Choice::ONE).choose(sampler.random())?;
+    let u = Vec2::new(sampler.random(), sampler.random());
+    let mut point = Point { light, chosen, u, wi: None };
+    if lights.is_same_everywhere(light) {
+        point.wi = Some(towards(lights, light, p, u)?);
+    }
+    Some(point)
+}
+
+/// The direction from `p`, render space, to the sample `u` of `light`; `None` where that is too broad to be looked for.
+fn towards(lights: LightsAt, light: u32, p: Vec3, u: Vec2) -> Option<Vec3> {
+    let sample = lights.sample_light(light, p, None, u)?;
+    (sample.delta || sample.pdf >= BROAD).then_some(sample.wi)
 }

@@ -36,8 +36,16 @@ impl Path<'_> {
         }
         let instance = body.instance;
         let (bucket, by) = (self.bucket_of_media(), self.by);
-        let light =
-            lit.then_some(CollisionLight { scene, instance, around: &within, scale: 1.0, bucket, by, bends: None });
+        let light = lit.then_some(CollisionLight {
+            scene,
+            instance,
+            around: &within,
+            scale: 1.0,
+            bucket,
+            by,
+            bends: None,
+            entry: start.normal,
+        });
         let passage = Passage { enclosure, instance, bends: None, plan, medium, first: false };
         let (at, d, scattered) = self.sub_walk(&passage, start, light, sampler)?;
         self.o = passage.enclosure.to_render(start.p);

@@ -26,6 +26,17 @@ impl LightsAt<'_> {
     }
 }
 
+impl LightsAt<'_> {
+    /// Whether the same random numbers sample the same direction wherever it is asked for.
+    pub fn is_same_everywhere(&self, light: u32) -> bool {
+        match self.light(light).0 {
+            Light::Area(_) => false,
+            Light::Distant(_) => true,
+            Light::Dome(dome) => !dome.has_portals(),
+        }
+    }
+}
+
 impl Lights {
     pub fn is_single(&self, light: u32) -> bool {
         self.single.contains(&light)
