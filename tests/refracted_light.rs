@@ -1,4 +1,4 @@
-//! Light sampled through smooth dielectrics: the same image as by chance alone, and exact geometry.
+//! Light sampled through dielectrics: the same image as by chance alone, and exact geometry.
 
 mod support;
 
@@ -209,6 +209,69 @@ fn light_is_neither_lost_nor_counted_twice() {
         compare(case.name, &with, &without, &mut tests);
     }
     judge("refracted light", tests);
+}
+
+/// Behind rough boundaries every light with a size or none is looked for by facets.
+fn rough_cases() -> Vec<Case> {
+    let of = |name, body, roughness, albedo, radius: [f32; 3], (g, ior), lights, walk| {
+        let medium = PreviewSurface { roughness, ..medium(albedo, radius, g, ior) };
+        Case { name, body, medium, lights, walk, samples: 256 }
+    };
+    let sun = |angle| vec![behind(LightShape::Distant { angle }, if angle > 0.0 { 1000.0 } else { 10.0 })];
+    let (gray, skin) = ([0.9; 3], [0.99, 0.9, 0.7]);
+    let ball = || smooth(sphere(16, 0.7));
+    vec![
+        of("rough sphere, sun", ball(), 0.35, gray, [0.2; 3], (0.0, 1.5), sun(2.0), "classical"),
+        of("rough sphere, a single direction", ball(), 0.5, gray, [0.5; 3], (0.0, 1.3), sun(0.0), "classical"),
+        of("rough sphere, rect, thin, forward", ball(), 0.2, gray, [2.0; 3], (0.8, 1.2), vec![rect(20.0)], "classical"),
+        of("rough bumps, sun, mixture", bumpy(), 0.35, skin, [0.1, 0.07, 0.03], (0.0, 1.5), sun(2.0), "mixture"),
+        of("rough bumps, forward, mixture", bumpy(), 0.6, skin, [0.2, 0.15, 0.1], (0.5, 1.4), sun(5.0), "mixture"),
+        of("rough bumps, rect, poe", bumpy(), 0.3, skin, [0.3, 0.2, 0.1], (0.0, 1.4), vec![rect(20.0)], "poe"),
+        of(
+            "rough cube, sun in a sky",
+            cube(),
+            0.35,
+            skin,
+            [0.2, 0.15, 0.1],
+            (0.0, 1.5),
+            vec![sky("/Sky", 1.0)],
+            "mixture",
+        ),
+        of("rough cube of air in water", cube(), 0.35, gray, [0.3; 3], (0.0, 1.0 / 1.33), sun(3.0), "classical"),
+        of(
+            "rough cube, ball, cylinder, disk",
+            cube(),
+            0.4,
+            gray,
+            [0.2; 3],
+            (0.0, 1.4),
+            vec![
+                behind(LightShape::Sphere { radius: 0.2 }, 20.0),
+                behind(LightShape::Cylinder { length: 0.6, radius: 0.05 }, 40.0),
+                behind(LightShape::Disk { radius: 0.15 }, 20.0),
+            ],
+            "bono",
+        ),
+    ]
+}
+
+/// The same image as by chance; and less noise by far, where the sun is small.
+#[test]
+fn rough_boundaries_let_in_what_chance_finds() {
+    let (mut tests, mut noise) = (Vec::new(), Vec::new());
+    for case in rough_cases() {
+        let images = [1, 2].map(|seed| case.color("on", case.samples, seed));
+        let chance = [3, 4].map(|seed| case.color("off", 8 * case.samples, seed));
+        compare(case.name, &images[0], &chance[0], &mut tests);
+        let squares = |[a, b]: &[Vec<f32>; 2]| a.iter().zip(b).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>();
+        // By chance it has eight times the samples.
+        noise.push((case.name, squares(&images) / (8.0 * squares(&chance))));
+    }
+    eprintln!("{noise:?}");
+    judge("rough boundaries", tests);
+    for (name, ratio) in noise.iter().filter(|(name, _)| name.contains("sun")) {
+        assert!(*ratio < 0.5, "{name}: {ratio} of the noise of chance");
+    }
 }
 
 /// Every other face has a normal map: light that enters by a plain one leaves as the map says.

@@ -79,7 +79,9 @@ impl<'a> Path<'a> {
             Looks::Smooth if beside == 1.0 => {
                 Bent::new(scene, si.instance, si.surface, self.guide.beams_in(si.instance)).map(Bends::Smooth)
             }
-            Looks::Rough => Rough::new(&coating.surface, interior.medium, beside, self.cone.width).map(Bends::Rough),
+            Looks::Rough => {
+                Rough::new(self.guide, &coating.surface, interior.medium, beside, self.cone.width).map(Bends::Rough)
+            }
             _ => None,
         };
         let (instance, first) = (si.instance, self.depth == 0);

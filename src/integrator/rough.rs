@@ -9,7 +9,8 @@ use super::collision::{CollisionLight, Into};
 use super::direct::arriving;
 use crate::bsdf::fresnel::refract;
 use crate::bsdf::{Dielectric, Side, Surface};
-use crate::light::{Choice, LightsAt};
+use crate::guiding::Guide;
+use crate::light::{Choice, LightSample, LightsAt};
 use crate::math::{Frame, PI, mean};
 use crate::medium::Medium;
 use crate::sampling::power_heuristic;
@@ -42,6 +43,7 @@ const BY_CHANCE: f32 = 0.25 / PI;
 /// A rough boundary as it is seen from within.
 #[derive(Clone, Copy)]
 pub(super) struct Rough<'a> {
+    guide: &'a Guide,
     surface: &'a Surface,
     /// From outside.
     facets: Dielectric,
@@ -106,10 +108,10 @@ pub(super) struct CameFrom<'a> {
 
 impl<'a> Rough<'a> {
     /// `None` unless `surface` has a rough interface; beside it is the index `beside`.
-    pub fn new(surface: &'a Surface, medium: Medium, beside: f32, width: f32) -> Option<Self> {
+    pub fn new(guide: &'a Guide, surface: &'a Surface, medium: Medium, beside: f32, width: f32) -> Option<Self> {
         let facets = surface.rough_interface(beside)?;
         let reach = REACH / medium.sigma_t.min_element();
-        Some(Self { surface, facets, medium, beside, width, reach })
+        Some(Self { guide, surface, facets, medium, beside, width, reach })
     }
 
     /// Whether the collision at `x` looks, and for what, by what is known without its weight.
@@ -187,13 +189,18 @@ impl<'a> Rough<'a> {
         let mut exit = to.scene.interaction(&enclosure.surface_hit(&hit), d, Side::Inside);
         to.scene.bend(&mut exit, self.width);
         let bsdf = self.surface.bsdf_beside(exit.local(exit.wo), Side::Inside, self.beside);
-        let sample = to.scene.lights_for(to.instance).sample_light(light, exit.p, exit.horizon(), u);
+        let lights = to.scene.lights_for(to.instance);
+        // As many as a walk would sample there: directions of the boundary compete with all of them.
+        let choice = self.guide.exit_choice(exit.instance, enclosure.point(&hit), exit.ng);
+        let samples = lights.choice_probability(light, exit.p, exit.horizon(), self.guide.choice(choice));
+        let sample = lights.sample_light(light, exit.p, exit.horizon(), u);
+        let sample = sample.map(|sample| LightSample { pdf: sample.pdf * samples, ..sample });
         let arriving = sample.and_then(|sample| arriving(to.scene, &exit, &bsdf, None, to.around, &sample));
         let Some(arriving) = arriving else { return 0 };
         let (phase, _) = (collision.scatter)(d);
         let passed = collision.weight * self.medium.transmittance(t) * phase;
         let density = self.density(&ahead, d);
-        let seen = passed * arriving.light * (power_heuristic(density, BY_CHANCE) / (density * chosen));
+        let seen = passed * arriving.light * (samples * power_heuristic(density, BY_CHANCE) / (density * chosen));
         if seen.is_finite() {
             to.give(into, light, seen);
         }
