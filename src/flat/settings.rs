@@ -133,8 +133,8 @@ pub struct RenderSettings {
     pub control_variates: bool,
     /// Lights sampled where a walk comes out: `one`, `all`, `learned` (one, by visible contribution), or `auto`.
     pub exit_lights: String,
-    /// Light sampled at collisions, through smooth dielectric boundaries: `on`, `off`, or `auto`: where a light is small and
-    /// the walk is not of exact weight.
+    /// Light sampled at collisions, through dielectric boundaries: `on`, `off`, or `auto`: where a light is small, and, of
+    /// smooth ones, where the walk is not of exact weight.
     pub refracted_light: String,
     /// Where walks of `mixture` come out of a diffuse boundary, half of them go on to where light was seen.
     pub guide_exits: bool,

@@ -135,9 +135,9 @@ pub fn explain(scene: &Scene, settings: &RenderSettings) -> Vec<Explanation> {
         }
     );
     let bent_why = match settings.refracted_light.as_str() {
-        "auto" => format!("collisions in {} look for small lights through its smooth boundary", media(bent)),
+        "auto" => format!("collisions in {} look for small lights through its boundary", media(bent)),
         asked => format!(
-            "collisions look for lights through smooth boundaries in {}; refractedLight={asked} asked for",
+            "collisions look for lights through the boundaries of {}; refractedLight={asked} asked for",
             media(bent)
         ),
     };
@@ -160,8 +160,8 @@ pub fn explain(scene: &Scene, settings: &RenderSettings) -> Vec<Explanation> {
             "refracted light",
             bent > 0,
             bent_why,
-            "no smooth dielectric boundary with small lights around it (meshes are not looked for) and nothing within, or \
-             exact weights",
+            "no dielectric boundary with small lights around it (meshes are not looked for) and nothing within, or a smooth \
+             one and exact weights",
         ),
         line(
             "exit lights",
