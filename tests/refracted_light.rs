@@ -78,6 +78,16 @@ fn rect(intensity: f32) -> Light {
     behind(LightShape::Rect { width: 1.0, height: 0.8, texture: String::new() }, intensity)
 }
 
+/// A light above the body whose plane cuts it: a half of the body is behind it.
+fn across(side: f64) -> Light {
+    let mut light = rect(20.0);
+    light.shape = LightShape::Rect { width: 0.5, height: 0.5, texture: String::new() };
+    for (row, axis) in light.transform.iter_mut().zip([DVec3::Z * side, DVec3::Y, DVec3::X * -side, DVec3::Y * 1.1]) {
+        row[..3].copy_from_slice(&axis.to_array());
+    }
+    light
+}
+
 fn sky(texture: &str, intensity: f32) -> Light {
     Light { shape: LightShape::Dome { texture: texture.into(), pole_axis: "Y".into() }, intensity, ..Light::default() }
 }
@@ -238,6 +248,16 @@ fn rough_cases() -> Vec<Case> {
             "mixture",
         ),
         of("rough cube of air in water", cube(), 0.35, gray, [0.3; 3], (0.0, 1.0 / 1.33), sun(3.0), "classical"),
+        of(
+            "rough sphere, back to back",
+            ball(),
+            0.5,
+            gray,
+            [0.4; 3],
+            (0.0, 1.4),
+            vec![across(1.0), across(-1.0)],
+            "classical",
+        ),
         of(
             "rough cube, ball, cylinder, disk",
             cube(),

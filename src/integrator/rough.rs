@@ -27,7 +27,7 @@ const LOOKS: f32 = 0.5;
 /// Mean free paths of the clearest channel from which a boundary is seen: e^-8 of the light of what is farther is left to chance.
 const REACH: f32 = 8.0;
 
-/// Collisions that look for the same point of a light: to find one in a map costs as much as a ray.
+/// Collisions that look with the same random numbers: to find a direction of a map by them costs as much as a ray.
 const TOGETHER: u32 = 4;
 
 /// Solid-angle pdf of a light's sample below which it is left to chance: directions of a rough boundary find so broad a light.
@@ -65,30 +65,24 @@ struct Ahead {
     expected: f32,
 }
 
-/// A point of a light.
-#[derive(Debug, Clone, Copy)]
-struct Point {
-    light: u32,
-    /// Probability of its choice.
-    chosen: f32,
-    /// Random numbers of the light sample.
-    u: Vec2,
-    /// Its direction, where that is the same from everywhere.
-    wi: Option<Vec3>,
-}
-
-/// What the collisions of a walk look for, one after the other.
+/// The random numbers with which collisions of a walk look for lights, one after the other.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Sought {
-    /// Collisions until the next is drawn, whatever they see of this one.
+    /// Collisions until the next are drawn, whatever they see.
     left: u32,
-    point: Option<Point>,
+    u: Vec2,
+    /// A light whose direction is the same from everywhere, and that.
+    known: Option<(u32, Option<Vec3>)>,
 }
 
 /// A look that is worth taking.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Glance {
-    point: Point,
+    light: u32,
+    /// Probability of its choice.
+    chosen: f32,
+    /// Random numbers of the light sample.
+    u: Vec2,
     ahead: Ahead,
 }
 
@@ -126,14 +120,11 @@ impl<'a> Rough<'a> {
         let chance = sampler.random();
         (chance < LOOKS).then_some(())?;
         let (lights, p) = (to.scene.lights_for(to.instance), enclosure.to_render(x));
-        if into.sought.left == 0 {
-            into.sought = Sought { left: TOGETHER, point: draw(lights, p, sampler) };
-        }
-        into.sought.left -= 1;
-        let point = into.sought.point?;
-        let wi = point.wi.or_else(|| towards(lights, point.light, p, point.u))?;
+        into.sought.go_on(sampler);
+        let (light, chosen) = lights.draws(p, None, Choice::ONE).choose(sampler.random())?;
+        let wi = into.sought.towards(lights, light, p)?;
         let ahead = self.ahead(to.scene, enclosure, to.entry, x, wi)?;
-        (chance < ahead.expected).then_some(Glance { point, ahead })
+        (chance < ahead.expected).then_some(Glance { light, chosen, u: into.sought.u, ahead })
     }
 
     /// The boundary on the way from `x` to a light that is straight along `wi`; `None`: it is not looked for.
@@ -144,7 +135,8 @@ impl<'a> Rough<'a> {
         let guess = -first.to_world(refracted);
         let (t, frame, refracted) = self.boundary(scene, enclosure, x, guess, wi)?;
         let way = t * frame.n.dot(guess) / refracted.z.abs();
-        let expected = LOOKS * mean(self.medium.transmittance(way)).min(1.0);
+        // A shading normal may look away from the way: that counts as no way at all.
+        let expected = LOOKS * mean(self.medium.transmittance(way.max(0.0)));
         Some(Ahead { frame, wo: frame.to_local(wi), expected })
     }
 
@@ -181,7 +173,7 @@ impl<'a> Rough<'a> {
         sampler: &mut Sampler,
         into: &mut Into,
     ) -> u64 {
-        let Glance { point: Point { light, chosen, u, .. }, ahead } = *glance;
+        let Glance { light, chosen, u, ahead } = *glance;
         let (u_choice, u_facet) = (sampler.random(), Vec2::new(sampler.random(), sampler.random()));
         let w = self.facets.sample(ahead.wo, u_choice, u_facet).filter(|w| w.z < 0.0);
         let Some(d) = w.map(|w| -ahead.frame.to_world(w)) else { return 0 };
@@ -218,15 +210,25 @@ impl CameFrom<'_> {
     }
 }
 
-/// A point of a light as it is chosen at `p`, render space.
-fn draw(lights: LightsAt, p: Vec3, sampler: &mut Sampler) -> Option<Point> {
-    let (light, chosen) = lights.draws(p, None, Choice::ONE).choose(sampler.random())?;
-    let u = Vec2::new(sampler.random(), sampler.random());
-    let mut point = Point { light, chosen, u, wi: None };
-    if lights.is_same_everywhere(light) {
-        point.wi = Some(towards(lights, light, p, u)?);
+impl Sought {
+    fn go_on(&mut self, sampler: &mut Sampler) {
+        if self.left == 0 {
+            *self = Self { left: TOGETHER, u: Vec2::new(sampler.random(), sampler.random()), known: None };
+        }
+        self.left -= 1;
     }
-    Some(point)
+
+    /// [`towards`] a light, from `p`.
+    fn towards(&mut self, lights: LightsAt, light: u32, p: Vec3) -> Option<Vec3> {
+        if let Some((_, wi)) = self.known.filter(|(known, _)| *known == light) {
+            return wi;
+        }
+        let wi = towards(lights, light, p, self.u);
+        if lights.is_same_everywhere(light) {
+            self.known = Some((light, wi));
+        }
+        wi
+    }
 }
 
 /// The direction from `p`, render space, to the sample `u` of `light`; `None` where that is too broad to be looked for.
