@@ -2,12 +2,12 @@
 
 use super::bent::{Bent, Refracted};
 use super::collision::{Bends, CollisionLight, Into};
+use super::conditional::away;
 use super::direct::Rival;
 use super::entry::Entry;
 use super::leave::Begun;
 use super::nest::Nest;
 use super::rough::{CameFrom, Rough};
-use super::watch::drawn;
 use super::{Path, Previous};
 use crate::bsdf::{Boundary, Event, Response, Side, Surface};
 use crate::guiding::look::shares_by_kind;
@@ -18,9 +18,9 @@ use crate::sampling::sampler::Sampler;
 use crate::scene::{BoundaryHit, Coating, InstanceEnclosure, SurfaceHit};
 use crate::subsurface::mixture::{Visitor, walk_mixture};
 use crate::subsurface::steps::{Enclosure, Start, WalkEnd};
-use crate::subsurface::technique::{Densities, GuidedMedium, PerTechnique};
-use crate::subsurface::walk::{Along, Collision, walk};
-use glam::{Vec2, Vec3};
+use crate::subsurface::technique::{Densities, GuidedMedium};
+use crate::subsurface::walk::Collision;
+use glam::Vec3;
 
 /// The last collision of a walk and the solid-angle pdf with which it went on, as in [`WalkEnd::Boundary`].
 pub(super) type Scattered = Option<(Vec3, f32)>;
@@ -292,83 +292,6 @@ impl<'a> Path<'a> {
         end.end
     }
 
-    /// A walk along one slab normal, or classical, weighted by itself.
-    fn conditional_walk(
-        &mut self,
-        passage: &Passage,
-        start: Start<BoundaryHit>,
-        light: Option<CollisionLight>,
-        sampler: &mut Sampler,
-    ) -> WalkEnd<BoundaryHit> {
-        let guide = self.guide;
-        let mut kind = passage.plan.walk;
-        // The classical share of the literature's walks; the weight does not know of it (guiding.md 2.6). The mixture
-        // has its own.
-        if !matches!(kind, Walk::Classical | Walk::Mixture)
-            && guide.classical > 0.0
-            && sampler.random() < guide.classical
-        {
-            kind = Walk::Classical;
-        }
-        let kernels = &passage.medium.kernels;
-        let fixed = |normal| Along::Fixed { kernels, normal, first_distance: guide.guided_first };
-        let slab = match kind {
-            Walk::Classical => Along::None,
-            Walk::Poe => fixed(start.normal),
-            Walk::Cp | Walk::Ii => Along::Late { kernels },
-            Walk::Mixture => {
-                let techniques = guide.start(kind, passage.instance, start.p, start.normal).techniques;
-                let lane = techniques.choose(sampler.random()).lane;
-                lane.map_or(Along::None, |lane| fixed(techniques.normal(lane)))
-            }
-            Walk::Bono | Walk::Bill => {
-                let u = (sampler.random(), sampler.random());
-                let u2 = Vec2::new(sampler.random(), sampler.random());
-                fixed(guide.slab_normal(passage.instance, start.p, start.normal, u, u2).unwrap_or(start.normal))
-            }
-        };
-        let (enclosure, scene) = (&passage.enclosure, self.scene);
-        let mut followed = if let Along::Fixed { normal, .. } = slab { Some(normal) } else { None };
-        let late = |p: Vec3, sampler: &mut Sampler| {
-            followed = if kind == Walk::Cp {
-                enclosure.closest_point(p).and_then(|to| away(p, to))
-            } else {
-                let u = Vec2::new(sampler.random(), sampler.random());
-                let choice = crate::light::Choice::ONE;
-                let lights = scene.lights_for(passage.instance);
-                lights.sample(enclosure.to_render(p), None, choice, sampler.random(), u).map(|light| light.wi)
-            };
-            followed
-        };
-        let mut into = Into::new(&mut self.sample, &mut *self.groups, &mut *self.lobes);
-        let shadow_rays = &mut self.stats.shadow_rays;
-        let mut entry = self.log.as_mut().and_then(|log| log.entry.as_mut()).filter(|_| passage.first);
-        let collide = |collision: &Collision, sampler: &mut Sampler| {
-            if let Some(entry) = &mut entry {
-                entry.collision(collision.p, collision.weight / start.weight, PerTechnique::default());
-            }
-            if let Some(light) = light.as_ref().filter(|light| light.looks(collision.p, enclosure, sampler, &mut into))
-            {
-                *shadow_rays += light.add(collision, enclosure, sampler, &mut into);
-            }
-        };
-        let medium = &passage.medium.medium;
-        let stats = &mut self.stats.walk;
-        let segments = stats.steps;
-        let ahead = matches!(passage.bends, Some(Bends::Smooth(_)));
-        let end = walk(enclosure, medium, slab, start, ahead, sampler, stats, late, collide);
-        self.aim = into.aim;
-        if let (Some(entry), WalkEnd::Boundary { hit, d, weight, .. }) = (self.entry(passage.first), &end) {
-            let at = (passage.enclosure.point(hit), passage.enclosure.normal(hit));
-            entry.exit(at, *d, *weight / start.weight, PerTechnique::default());
-        }
-        if passage.first && self.guide.watched() {
-            let segments = self.stats.walk.steps - segments;
-            self.watch(passage.instance, &start, segments, followed, drawn(followed, start.normal));
-        }
-        end
-    }
-
     /// A dielectric boundary seen from inside at `p`, walk space: `Some(Some(wi))` reflected back in along wi,
     /// `Some(None)` out.
     fn meet_dielectric(
@@ -397,11 +320,6 @@ impl<'a> Path<'a> {
             }
         }
     }
-}
-
-/// Unit vector from a collision to the boundary point `to`; `None` on the boundary itself.
-fn away(p: Vec3, to: Vec3) -> Option<Vec3> {
-    (to - p).try_normalize()
 }
 
 /// What a path does along a walk of the mixture: light at collisions, the closest point's normal.

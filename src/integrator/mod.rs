@@ -4,6 +4,7 @@
 mod bent;
 mod beside;
 mod collision;
+mod conditional;
 mod direct;
 mod entry;
 mod footprint;
