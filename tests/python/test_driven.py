@@ -375,19 +375,43 @@ def test_guided_walks_in_driven_media_have_the_mean_of_classical_ones(tmp_path, 
         for seed, walk in enumerate(("classical", "mixture", "poe"))
     }
     assert pictures["mixture"].stats["guide"]["media"][0]["walk"] == "mixture"
+    for walk in ("mixture", "poe"):
+        compare(walk, pictures[walk], pictures["classical"])
+
+
+def compare(name: str, guided: dermis.Image, plain: dermis.Image) -> None:
+    """z-scores of 4 x 4 blocks of 24 x 24 pixels, and of the whole, which has to be known to 2 %."""
 
     def blocks(image: np.ndarray) -> np.ndarray:
         return image.reshape(4, 6, 4, 6, 3).sum((1, 3))
 
-    plain = pictures["classical"]
-    for walk in ("mixture", "poe"):
-        guided = pictures[walk]
-        variance = blocks(plain["variance"]) + blocks(guided["variance"])
-        z = (blocks(guided.color[..., :3]) - blocks(plain.color[..., :3])) / np.sqrt(variance + 1e-12)
-        assert np.abs(z).max() < 4.7, f"{walk}: {np.abs(z).max():.1f}"
-        ratio = guided.color[..., :3].sum() / plain.color[..., :3].sum()
-        error = np.sqrt(variance.sum()) / plain.color[..., :3].sum()
-        assert abs(ratio - 1) < 4 * error and error < 0.02, f"{walk}: {ratio} +- {error}"
+    variance = blocks(plain["variance"]) + blocks(guided["variance"])
+    z = (blocks(guided.color[..., :3]) - blocks(plain.color[..., :3])) / np.sqrt(variance + 1e-12)
+    assert np.abs(z).max() < 4.7, f"{name}: {np.abs(z).max():.1f}"
+    ratio = guided.color[..., :3].sum() / plain.color[..., :3].sum()
+    error = np.sqrt(variance.sum()) / plain.color[..., :3].sum()
+    assert abs(ratio - 1) < 4 * error and error < 0.02, f"{name}: {ratio} +- {error}"
+
+
+def test_looks_through_driven_rough_boundaries_find_what_chance_finds(tmp_path):
+    """Roughness, too: every walk has the boundary of its entry."""
+    roughness = np.linspace(0.2, 0.9, 16)[None, :, None].repeat(16, 0).repeat(3, 2)
+    nodes = reader() + texture("rough", write(tmp_path / "rough.exr", roughness), output="g")
+    words = (
+        "float inputs:subsurface = 1;float inputs:roughness.connect = </Look/rough.outputs:g>"
+        ';token inputs:subsurfaceBoundary = "dielectric"'
+    )
+    for name, texels in (("subsurfaceColor", COLORS), ("subsurfaceRadius", RADII)):
+        nodes += texture(name, write(tmp_path / f"{name}.exr", texels))
+        words += f";color3f inputs:{name}.connect = </Look/{name}.outputs:rgb>"
+    text = look(words, nodes) + LAMP
+    for walk in ("classical", "mixture"):
+        looks, chance = (
+            body(text, walk=walk, refractedLight=word, samples=samples, seed=samples, resolution=[24, 24])
+            for word, samples in (("auto", 128), ("off", 512))
+        )
+        assert "rough boundary" in looks.stats["guide"]["media"][0]["why"]
+        compare(walk, looks, chance)
 
 
 def test_color_of_the_entry_is_the_color_seen(tmp_path):
