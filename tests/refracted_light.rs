@@ -290,7 +290,7 @@ fn rough_boundaries_let_in_what_chance_finds() {
     eprintln!("{noise:?}");
     judge("rough boundaries", tests);
     for (name, ratio) in noise.iter().filter(|(name, _)| name.contains("sun")) {
-        assert!(*ratio < 0.5, "{name}: {ratio} of the noise of chance");
+        assert!(*ratio < 0.7, "{name}: {ratio} of the noise of chance");
     }
 }
 

@@ -30,8 +30,11 @@ const REACH: f32 = 8.0;
 /// Collisions that look with the same random numbers: to find a direction of a map by them costs as much as a ray.
 const TOGETHER: u32 = 4;
 
-/// Solid-angle pdf of a light's sample below which it is left to chance: directions of a rough boundary find so broad a light.
-const BROAD: f32 = 2.0;
+/// Solid-angle pdf of a light's sample below which it is left to chance: directions of a rough boundary find so broad a light. Over
+/// that of the facets' normals, 1 / (pi alpha^2), and by itself: efficiency over chance is 0.7, 0.9, 1.5 and 3.9 where the first
+/// is 0.03, 0.2, 1 and 9 (docs/performance.md, "Rough dielectrics").
+const BROAD: f32 = 0.25;
+const BROAD_ALONE: f32 = 2.0;
 
 /// Position errors that a collision has to be away from the boundary: closer to it, rays may miss the boundary that walks
 /// know of.
@@ -53,6 +56,8 @@ pub(super) struct Rough<'a> {
     /// Of the path's footprint.
     width: f32,
     reach: f32,
+    /// Least pdf of a light's sample that is looked for.
+    least_pdf: f32,
 }
 
 /// Where a light seems to be from a collision: the boundary on the way.
@@ -105,7 +110,8 @@ impl<'a> Rough<'a> {
     pub fn new(guide: &'a Guide, surface: &'a Surface, medium: Medium, beside: f32, width: f32) -> Option<Self> {
         let facets = surface.rough_interface(beside)?;
         let reach = REACH / medium.sigma_t.min_element();
-        Some(Self { guide, surface, facets, medium, beside, width, reach })
+        let least_pdf = (BROAD / (PI * facets.alpha * facets.alpha)).max(BROAD_ALONE);
+        Some(Self { guide, surface, facets, medium, beside, width, reach, least_pdf })
     }
 
     /// Whether the collision at `x` looks, and for what, by what is known without its weight.
@@ -122,9 +128,15 @@ impl<'a> Rough<'a> {
         let (lights, p) = (to.scene.lights_for(to.instance), enclosure.to_render(x));
         into.sought.go_on(sampler);
         let (light, chosen) = lights.draws(p, None, Choice::ONE).choose(sampler.random())?;
-        let wi = into.sought.towards(lights, light, p)?;
+        let wi = into.sought.towards(self, lights, light, p)?;
         let ahead = self.ahead(to.scene, enclosure, to.entry, x, wi)?;
         (chance < ahead.expected).then_some(Glance { light, chosen, u: into.sought.u, ahead })
+    }
+
+    /// The direction from `p`, render space, to the sample `u` of `light`; `None` where that is too broad to be looked for.
+    fn towards(&self, lights: LightsAt, light: u32, p: Vec3, u: Vec2) -> Option<Vec3> {
+        let sample = lights.sample_light(light, p, None, u)?;
+        (sample.delta || sample.pdf >= self.least_pdf).then_some(sample.wi)
     }
 
     /// The boundary on the way from `x` to a light that is straight along `wi`; `None`: it is not looked for.
@@ -204,7 +216,7 @@ impl CameFrom<'_> {
     /// MIS weight of `light` sampled with the numbers `u` where chance has led.
     pub fn weight(&self, scene: Moment, light: u32, u: Vec2) -> f32 {
         let Self { rough, enclosure, entry, x, d, .. } = *self;
-        let wi = towards(scene.lights_for(self.instance), light, enclosure.to_render(x), u);
+        let wi = rough.towards(scene.lights_for(self.instance), light, enclosure.to_render(x), u);
         let ahead = wi.and_then(|wi| rough.ahead(scene, enclosure, entry, x, wi));
         ahead.map_or(1.0, |ahead| power_heuristic(BY_CHANCE, rough.density(&ahead, d)))
     }
@@ -218,21 +230,15 @@ impl Sought {
         self.left -= 1;
     }
 
-    /// [`towards`] a light, from `p`.
-    fn towards(&mut self, lights: LightsAt, light: u32, p: Vec3) -> Option<Vec3> {
+    /// [`Rough::towards`] a light, from `p`.
+    fn towards(&mut self, rough: &Rough, lights: LightsAt, light: u32, p: Vec3) -> Option<Vec3> {
         if let Some((_, wi)) = self.known.filter(|(known, _)| *known == light) {
             return wi;
         }
-        let wi = towards(lights, light, p, self.u);
+        let wi = rough.towards(lights, light, p, self.u);
         if lights.is_same_everywhere(light) {
             self.known = Some((light, wi));
         }
         wi
     }
-}
-
-/// The direction from `p`, render space, to the sample `u` of `light`; `None` where that is too broad to be looked for.
-fn towards(lights: LightsAt, light: u32, p: Vec3, u: Vec2) -> Option<Vec3> {
-    let sample = lights.sample_light(light, p, None, u)?;
-    (sample.delta || sample.pdf >= BROAD).then_some(sample.wi)
 }
