@@ -21,7 +21,7 @@ use crate::subsurface::walk::Collision;
 use glam::{Vec2, Vec3};
 
 /// Looks of a collision at the boundary: deeper ones have as many less as less light gets there. A flat optimum on
-/// `dragon_rough` (docs/performance.md, "Rough dielectrics"), as the next three.
+/// `dragon_rough` (docs/performance.md, "Rough dielectrics"), as the next two.
 const LOOKS: f32 = 0.5;
 
 /// Mean free paths of the clearest channel from which a boundary is seen: e^-8 of the light of what is farther is left to chance.
