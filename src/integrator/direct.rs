@@ -214,6 +214,9 @@ impl Path<'_> {
         let guide = if let Rival::Guide(guide) = rival { Some(guide) } else { None };
         let Some(arriving) = arriving(self.scene, si, bsdf, guide, inside, &light) else { return };
         self.stats.shadow_rays += 1;
+        if arriving.light == Rgb::ZERO {
+            return; // in shadow: what looks would have made of it takes two rays
+        }
         let weight = if let Rival::Looks(from) = rival { from.weight(self.scene, light.light, u) } else { 1.0 };
         let by = self.response(bsdf, si.local(light.wi), arriving.f, false);
         self.add_by(by, light.light, weight * arriving.light);

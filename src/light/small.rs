@@ -24,9 +24,7 @@ impl LightsAt<'_> {
         let irradiance = distant.sampled_radiance(wi) * count as f32;
         Some(Single { light, wi: to_time(pose.as_ref(), wi), irradiance })
     }
-}
 
-impl LightsAt<'_> {
     /// Whether the same random numbers sample the same direction wherever it is asked for.
     pub fn is_same_everywhere(&self, light: u32) -> bool {
         match self.light(light).0 {
