@@ -38,11 +38,11 @@ pub(super) struct Passage<'a> {
 }
 
 impl Passage<'_> {
-    /// What looks through a rough boundary compete with where a walk meets it along `d`, if they do.
-    fn came_from(&self, scattered: Scattered, entry: Vec3, d: Vec3) -> Option<CameFrom<'_>> {
+    /// What looks through a rough boundary compete with where a walk meets it at `p` (walk space) along `d`, if they do.
+    fn came_from(&self, scattered: Scattered, entry: Vec3, p: Vec3, d: Vec3) -> Option<CameFrom<'_>> {
         let Some(Bends::Rough(rough)) = &self.bends else { return None };
         let (x, _) = scattered?;
-        Some(CameFrom { rough, enclosure: &self.enclosure, instance: self.instance, entry, x, d })
+        Some(CameFrom { rough, enclosure: &self.enclosure, instance: self.instance, entry, x, d, t: (p - x).length() })
     }
 }
 
@@ -125,7 +125,7 @@ impl<'a> Path<'a> {
                 Boundary::Dielectric => {
                     let p = passage.enclosure.point(&at);
                     last = self.way_from_light(&passage, scattered, last, p, d, start.p);
-                    let from = passage.came_from(scattered, start.normal, d);
+                    let from = passage.came_from(scattered, start.normal, p, d);
                     match self.meet_dielectric(&coating.surface, beside, &exit, p, from, sampler)? {
                         Some(reflected) => {
                             self.cross()?;

@@ -103,6 +103,8 @@ pub(super) struct CameFrom<'a> {
     pub x: Vec3,
     /// Unit.
     pub d: Vec3,
+    /// To the boundary.
+    pub t: f32,
 }
 
 impl<'a> Rough<'a> {
@@ -175,6 +177,11 @@ impl<'a> Rough<'a> {
         if w.z < 0.0 { ahead.expected * self.facets.pdf(ahead.wo, w) } else { 0.0 }
     }
 
+    /// Solid-angle density of directions that walks draw and that get to the boundary, `t` away.
+    fn by_chance(&self, t: f32) -> f32 {
+        BY_CHANCE * mean(self.medium.transmittance(t))
+    }
+
     /// Adds what a collision sees. Returns the shadow rays that took.
     pub fn look(
         &self,
@@ -204,7 +211,7 @@ impl<'a> Rough<'a> {
         let (phase, _) = (collision.scatter)(d);
         let passed = collision.weight * self.medium.transmittance(t) * phase;
         let density = self.density(&ahead, d);
-        let seen = passed * arriving.light * (samples * power_heuristic(density, BY_CHANCE) / (density * chosen));
+        let seen = passed * arriving.light * (samples * power_heuristic(density, self.by_chance(t)) / (density * chosen));
         if seen.is_finite() {
             to.give(into, light, seen);
         }
@@ -215,10 +222,10 @@ impl<'a> Rough<'a> {
 impl CameFrom<'_> {
     /// MIS weight of `light` sampled with the numbers `u` where chance has led.
     pub fn weight(&self, scene: Moment, light: u32, u: Vec2) -> f32 {
-        let Self { rough, enclosure, entry, x, d, .. } = *self;
+        let Self { rough, enclosure, entry, x, d, t, .. } = *self;
         let wi = rough.towards(scene.lights_for(self.instance), light, enclosure.to_render(x), u);
         let ahead = wi.and_then(|wi| rough.ahead(scene, enclosure, entry, x, wi));
-        ahead.map_or(1.0, |ahead| power_heuristic(BY_CHANCE, rough.density(&ahead, d)))
+        ahead.map_or(1.0, |ahead| power_heuristic(rough.by_chance(t), rough.density(&ahead, d)))
     }
 }
 
