@@ -177,7 +177,7 @@ impl Path<'_> {
                 // Strata of the choice: neighbours in the tree are neighbours in space.
                 let u_choice = (u_choice + i as f32) / count as f32;
                 let u = lattice(u, i);
-                self.add_light(si, bsdf, rival, beyond, draws.sample(u_choice, u), u);
+                self.add_light(si, bsdf, rival, beyond, draws.draw(u_choice, u), u);
             }
             return;
         }
@@ -194,22 +194,23 @@ impl Path<'_> {
             for i in 0..count {
                 let u = lattice(first, i);
                 let sample = all.sample_light(light, si.p, n, u);
-                let counted = sample.map(|sample| LightSample { pdf: sample.pdf * count as f32, ..sample });
-                self.add_light(si, bsdf, rival, beyond, counted, u);
+                self.add_light(si, bsdf, rival, beyond, sample.map(|sample| (sample, count as f32)), u);
             }
         }
     }
 
+    /// `sampled`: with the numbers `u`, one of as many as are expected of that light.
     fn add_light(
         &mut self,
         si: &Interaction,
         bsdf: &Bsdf,
         rival: Rival,
         beyond: Option<&Nest>,
-        light: Option<LightSample>,
+        sampled: Option<(LightSample, f32)>,
         u: Vec2,
     ) {
-        let Some(light) = light else { return };
+        let Some((sample, expected)) = sampled else { return };
+        let light = LightSample { pdf: sample.pdf * expected, ..sample };
         let inside = beyond.unwrap_or(&self.inside);
         let guide = if let Rival::Guide(guide) = rival { Some(guide) } else { None };
         let Some(arriving) = arriving(self.scene, si, bsdf, guide, inside, &light) else { return };
@@ -217,7 +218,7 @@ impl Path<'_> {
         if arriving.light == Rgb::ZERO {
             return; // in shadow: what looks would have made of it takes two rays
         }
-        let weight = if let Rival::Looks(from) = rival { from.weight(self.scene, light.light, u) } else { 1.0 };
+        let weight = if let Rival::Looks(from) = rival { from.weight(self.scene, &sample, u) } else { 1.0 };
         let by = self.response(bsdf, si.local(light.wi), arriving.f, false);
         self.add_by(by, light.light, weight * arriving.light);
     }

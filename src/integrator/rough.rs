@@ -76,8 +76,8 @@ pub(super) struct Sought {
     /// Collisions until the next are drawn, whatever they see.
     left: u32,
     u: Vec2,
-    /// A light whose direction is the same from everywhere, and that.
-    known: Option<(u32, Option<Vec3>)>,
+    /// A light that looks the same from everywhere, and its sample where it is looked for.
+    known: Option<(u32, Option<LightSample>)>,
 }
 
 /// A look that is worth taking.
@@ -86,6 +86,8 @@ pub(super) struct Glance {
     light: u32,
     /// Probability of its choice.
     chosen: f32,
+    /// Its sample, if that is the same from everywhere.
+    known: Option<LightSample>,
     /// Random numbers of the light sample.
     u: Vec2,
     ahead: Ahead,
@@ -130,15 +132,19 @@ impl<'a> Rough<'a> {
         let (lights, p) = (to.scene.lights_for(to.instance), enclosure.to_render(x));
         into.sought.go_on(sampler);
         let (light, chosen) = lights.draws(p, None, Choice::ONE).choose(sampler.random())?;
-        let wi = into.sought.towards(self, lights, light, p)?;
-        let ahead = self.ahead(to.scene, enclosure, to.entry, x, wi)?;
-        (chance < ahead.expected).then_some(Glance { light, chosen, u: into.sought.u, ahead })
+        let sample = into.sought.sample(self, lights, light, p)?;
+        let ahead = self.ahead(to.scene, enclosure, to.entry, x, sample.wi)?;
+        let known = lights.is_same_everywhere(light).then_some(sample);
+        (chance < ahead.expected).then_some(Glance { light, chosen, known, u: into.sought.u, ahead })
     }
 
-    /// The direction from `p`, render space, to the sample `u` of `light`; `None` where that is too broad to be looked for.
-    fn towards(&self, lights: LightsAt, light: u32, p: Vec3, u: Vec2) -> Option<Vec3> {
-        let sample = lights.sample_light(light, p, None, u)?;
-        (sample.delta || sample.pdf >= self.least_pdf).then_some(sample.wi)
+    /// The sample `u` of `light` as seen from `p`, render space; `None` where that is too broad to be looked for.
+    fn sample(&self, lights: LightsAt, light: u32, p: Vec3, u: Vec2) -> Option<LightSample> {
+        lights.sample_light(light, p, None, u).filter(|sample| self.seeks(sample))
+    }
+
+    fn seeks(&self, sample: &LightSample) -> bool {
+        sample.delta || sample.pdf >= self.least_pdf
     }
 
     /// The boundary on the way from `x` to a light that is straight along `wi`; `None`: it is not looked for.
@@ -192,7 +198,7 @@ impl<'a> Rough<'a> {
         sampler: &mut Sampler,
         into: &mut Into,
     ) -> u64 {
-        let Glance { light, chosen, u, ahead } = *glance;
+        let Glance { light, chosen, known, u, ahead } = *glance;
         let (u_choice, u_facet) = (sampler.random(), Vec2::new(sampler.random(), sampler.random()));
         let w = self.facets.sample(ahead.wo, u_choice, u_facet).filter(|w| w.z < 0.0);
         let Some(d) = w.map(|w| -ahead.frame.to_world(w)) else { return 0 };
@@ -204,7 +210,7 @@ impl<'a> Rough<'a> {
         // As many as a walk would sample there: directions of the boundary compete with all of them.
         let choice = self.guide.exit_choice(exit.instance, enclosure.point(&hit), exit.ng);
         let samples = lights.choice_probability(light, exit.p, exit.horizon(), self.guide.choice(choice));
-        let sample = lights.sample_light(light, exit.p, exit.horizon(), u);
+        let sample = known.or_else(|| lights.sample_light(light, exit.p, exit.horizon(), u));
         let sample = sample.map(|sample| LightSample { pdf: sample.pdf * samples, ..sample });
         let arriving = sample.and_then(|sample| arriving(to.scene, &exit, &bsdf, None, to.around, &sample));
         let Some(arriving) = arriving else { return 0 };
@@ -220,11 +226,15 @@ impl<'a> Rough<'a> {
 }
 
 impl CameFrom<'_> {
-    /// MIS weight of `light` sampled with the numbers `u` where chance has led.
-    pub fn weight(&self, scene: Moment, light: u32, u: Vec2) -> f32 {
+    /// MIS weight of a light's `sample` by the numbers `u` where chance has led.
+    pub fn weight(&self, scene: Moment, sample: &LightSample, u: Vec2) -> f32 {
         let Self { rough, enclosure, entry, x, d, t, .. } = *self;
-        let wi = rough.towards(scene.lights_for(self.instance), light, enclosure.to_render(x), u);
-        let ahead = wi.and_then(|wi| rough.ahead(scene, enclosure, entry, x, wi));
+        let lights = scene.lights_for(self.instance);
+        let sought = match lights.is_same_everywhere(sample.light) {
+            true => rough.seeks(sample).then_some(*sample),
+            false => rough.sample(lights, sample.light, enclosure.to_render(x), u),
+        };
+        let ahead = sought.and_then(|sought| rough.ahead(scene, enclosure, entry, x, sought.wi));
         ahead.map_or(1.0, |ahead| power_heuristic(rough.by_chance(t), rough.density(&ahead, d)))
     }
 }
@@ -237,15 +247,15 @@ impl Sought {
         self.left -= 1;
     }
 
-    /// [`Rough::towards`] a light, from `p`.
-    fn towards(&mut self, rough: &Rough, lights: LightsAt, light: u32, p: Vec3) -> Option<Vec3> {
-        if let Some((_, wi)) = self.known.filter(|(known, _)| *known == light) {
-            return wi;
+    /// [`Rough::sample`] of a light, from `p`.
+    fn sample(&mut self, rough: &Rough, lights: LightsAt, light: u32, p: Vec3) -> Option<LightSample> {
+        if let Some((_, sample)) = self.known.filter(|(known, _)| *known == light) {
+            return sample;
         }
-        let wi = rough.towards(lights, light, p, self.u);
+        let sample = rough.sample(lights, light, p, self.u);
         if lights.is_same_everywhere(light) {
-            self.known = Some((light, wi));
+            self.known = Some((light, sample));
         }
-        wi
+        sample
     }
 }

@@ -151,10 +151,15 @@ impl<F: Fn(u32) -> f64> Draws<'_, F> {
     /// The pdf counts as many samples as the choice draws. That is not `All`: of all lights each is asked by
     /// [`LightsAt::sample_light`].
     pub fn sample(&mut self, u_choice: f32, u: Vec2) -> Option<LightSample> {
+        let (sample, times) = self.draw(u_choice, u)?;
+        let pdf = sample.pdf * times;
+        (pdf > 0.0 && pdf.is_finite()).then_some(LightSample { pdf, ..sample })
+    }
+
+    /// A light as if it were the only one, and how many of it are expected.
+    pub fn draw(&mut self, u_choice: f32, u: Vec2) -> Option<(LightSample, f32)> {
         let (light, chosen) = self.choose(u_choice)?;
-        let mut sample = self.lights.sample_light(light, self.p, self.n, u)?;
-        sample.pdf *= chosen * self.choice.count() as f32;
-        (sample.pdf > 0.0 && sample.pdf.is_finite()).then_some(sample)
+        Some((self.lights.sample_light(light, self.p, self.n, u)?, chosen * self.choice.count() as f32))
     }
 
     /// A light and the probability it was chosen with; `None` where no light can reach p, or none of the cluster that was
