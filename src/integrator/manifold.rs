@@ -262,8 +262,14 @@ pub(super) mod tests {
     use crate::scene::Scene;
     use std::sync::Arc;
 
-    /// A ball with waves of the given height, interpolated normals, scaled by (1, 1, 2), of glass with hardly any medium.
+    /// [`ball_of`] glass with hardly any medium.
     pub fn ball(waves: f32, ior: f32, lights: Vec<Light>) -> Arc<Scene> {
+        let glass = PreviewSurface { ior, roughness: 0.0, subsurface_radius: [1e6; 3], ..PreviewSurface::default() };
+        ball_of(waves, glass, lights)
+    }
+
+    /// A ball with waves of the given height, interpolated normals, scaled by (1, 1, 2), with a medium behind a dielectric.
+    pub fn ball_of(waves: f32, surface: PreviewSurface, lights: Vec<Light>) -> Arc<Scene> {
         const N: usize = 24;
         let point = |i: usize| {
             let (ring, segment) = (i / (2 * N), i % (2 * N));
@@ -290,11 +296,8 @@ pub(super) mod tests {
         mesh.transform[2][2] = 2.0;
         let material = Material::UsdPreviewSurface(PreviewSurface {
             subsurface: 1.0,
-            subsurface_radius: [1e6; 3],
             subsurface_boundary: "dielectric".into(),
-            ior,
-            roughness: 0.0,
-            ..PreviewSurface::default()
+            ..surface
         });
         let mut delegate = RenderDelegate::new();
         delegate.sync("/O", Prim::Mesh(mesh), DirtyBits::ALL);

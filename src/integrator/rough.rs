@@ -217,7 +217,8 @@ impl<'a> Rough<'a> {
         let (phase, _) = (collision.scatter)(d);
         let passed = collision.weight * self.medium.transmittance(t) * phase;
         let density = self.density(&ahead, d);
-        let seen = passed * arriving.light * (samples * power_heuristic(density, self.by_chance(t)) / (density * chosen));
+        let seen =
+            passed * arriving.light * (samples * power_heuristic(density, self.by_chance(t)) / (density * chosen));
         if seen.is_finite() {
             to.give(into, light, seen);
         }
@@ -259,3 +260,6 @@ impl Sought {
         sample
     }
 }
+
+#[cfg(test)]
+mod tests;
