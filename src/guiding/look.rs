@@ -160,7 +160,7 @@ pub fn explain(scene: &Scene, settings: &RenderSettings) -> Vec<Explanation> {
             "refracted light",
             bent > 0,
             bent_why,
-            "no dielectric boundary with small lights around it (meshes are not looked for) and nothing within, or a smooth \
+            "no dielectric boundary with small lights around it (meshes do not count) and nothing within, or a smooth \
              one and exact weights",
         ),
         line(
