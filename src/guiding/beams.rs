@@ -30,7 +30,7 @@ const LOBES: usize = 32;
 
 /// Cells along the longest side: so many that about [`PER_CELL`] beams pass each that is passed at all.
 const SIDE: std::ops::RangeInclusive<f32> = 4.0..=48.0;
-const PER_CELL: f32 = 10.0;
+const PER_CELL: f32 = 40.0;
 
 /// A beam is followed while it carries this much.
 const FAINT: f32 = 1e-3;
@@ -38,12 +38,17 @@ const FAINT: f32 = 1e-3;
 /// Squared radians between neighbours, of one more of them than there are: lone beams say little of their surroundings.
 const LONE: f32 = 0.05;
 
+/// Share of the directions that are drawn from lobes of a concentration of 1 / [`WIDER`]: beams are few, and light between them that
+/// no look finds has chance's noise. Both are flat optima (docs/performance.md, "Smooth dielectrics").
+const WIDE: f32 = 0.5;
+const WIDER: f32 = 4.0;
+
 /// A cell's light: its lobes are equally likely.
 #[derive(Debug, Clone, Copy)]
 pub struct Cell {
     first: u32,
     count: u32,
-    /// Concentration of the lobes.
+    /// Concentration of the narrow lobes.
     k: f32,
     /// Relative to what is usual in the body.
     pub fluence: f32,
@@ -147,16 +152,21 @@ impl Beams {
     pub fn sample(&self, cell: u32, u_choice: f32, u: Vec2) -> Vec3 {
         let cell = self.cell(cell);
         let lobes = self.lobes_of(cell);
-        let mean = lobes[((u_choice * lobes.len() as f32) as usize).min(lobes.len() - 1)];
-        Vmf { mean, k: cell.k }.sample(u)
+        let choice = u_choice * lobes.len() as f32;
+        let mean = lobes[(choice as usize).min(lobes.len() - 1)];
+        let k = if choice.fract() < WIDE { cell.k / WIDER } else { cell.k };
+        Vmf { mean, k }.sample(u)
     }
 
     /// Solid-angle pdf.
     pub fn pdf(&self, cell: u32, w: Vec3) -> f32 {
         let cell = self.cell(cell);
         let lobes = self.lobes_of(cell);
-        let sum: f32 = lobes.iter().map(|&mean| Vmf { mean, k: cell.k }.pdf(w)).sum();
-        sum / lobes.len() as f32
+        let of = |share: f32, k: f32| {
+            let sum: f32 = lobes.iter().map(|&mean| Vmf { mean, k }.falloff(w)).sum();
+            share * Vmf { mean: w, k }.peak() * sum
+        };
+        (of(1.0 - WIDE, cell.k) + of(WIDE, cell.k / WIDER)) / lobes.len() as f32
     }
 
     /// Bytes, about.

@@ -40,12 +40,12 @@ impl Vmf {
     }
 
     /// The pdf at the mean.
-    fn peak(&self) -> f32 {
+    pub(super) fn peak(&self) -> f32 {
         if self.k < MIN_CONCENTRATION { UNIFORM_SPHERE_PDF } else { self.k / (TAU * -(-2.0 * self.k).exp_m1()) }
     }
 
     /// The pdf over that at the mean.
-    fn falloff(&self, w: Vec3) -> f32 {
+    pub(super) fn falloff(&self, w: Vec3) -> f32 {
         // mean.w - 1 without the cancellation: at k = 3.2e4 its last bit would be 2e-3.
         (-0.5 * self.k * (w - self.mean).length_squared()).exp()
     }

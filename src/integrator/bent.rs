@@ -26,7 +26,7 @@ use glam::{Vec2, Vec3};
 
 /// Looks of a collision of throughput 1 that sees as much light as is usual in the body. These are optima on
 /// `bunny_smooth` (docs/performance.md, "Smooth dielectrics").
-const LOOKS: f32 = 0.5;
+const LOOKS: f32 = 1.2;
 
 /// Most looks of a collision.
 const MOST_LOOKS: f32 = 4.0;
