@@ -129,10 +129,12 @@ fn cases() -> Vec<Case> {
     ]
 }
 
-/// A sky with a sun of some degrees.
-fn sun() -> Texture {
-    let (width, height) = (32, 16);
-    let bright = |i: usize| if i % width == 8 && (4..6).contains(&(i / width)) { 150.0 } else { 0.2 };
+/// A sky of so many rows with a sun two pixels high.
+fn sun(height: usize, brightness: f32) -> Texture {
+    let width = 2 * height;
+    let row = height / 4;
+    let bright =
+        |i: usize| if i % width == height / 2 && (row..row + 2).contains(&(i / width)) { brightness } else { 0.2 };
     let pixels: Vec<[f32; 3]> = (0..width * height).map(|i| [bright(i); 3]).collect();
     Texture { file: "sun".into(), width: width as u32, height: height as u32, pixels: pixels.into() }
 }
@@ -142,7 +144,8 @@ impl Case {
         let material = Material::UsdPreviewSurface(self.medium.clone());
         let eye = camera(DVec3::new(1.0, 1.5, 6.0), 13.0);
         let mut delegate = scene(self.body.clone(), material, self.lights.clone(), eye);
-        delegate.sync("/Sky", Prim::Texture(sun()), DirtyBits::ALL);
+        delegate.sync("/Sky", Prim::Texture(sun(16, 150.0)), DirtyBits::ALL);
+        delegate.sync("/Sun", Prim::Texture(sun(48, 1300.0)), DirtyBits::ALL);
         delegate
     }
 
@@ -219,6 +222,59 @@ fn light_is_neither_lost_nor_counted_twice() {
         compare(case.name, &with, &without, &mut tests);
     }
     judge("refracted light", tests);
+}
+
+/// Suns of six degrees and less, which are searched for: as large as can be, so that chance finds them, too.
+fn sun_cases() -> Vec<Case> {
+    let sun = |angle| vec![behind(LightShape::Distant { angle }, 300.0)];
+    let of = |name, body, medium, lights, walk| Case { name, body, medium, lights, walk, samples: 256 };
+    let gray = |radius, g, ior| medium([0.9; 3], [radius; 3], g, ior);
+    let skin = |radius: f32| medium([0.99, 0.9, 0.7], [radius, 0.7 * radius, 0.4 * radius], 0.0, 1.5);
+    let ball = || smooth(sphere(16, 0.7));
+    let sky_and_rect = vec![sky("/Sun", 0.5), rect(5.0)];
+    vec![
+        of("sun, sphere", ball(), gray(0.3, 0.0, 1.3), sun(6.0), "classical"),
+        of("sun, sphere, forward, poe", ball(), gray(0.2, 0.7, 1.4), sun(6.0), "poe"),
+        of("sun, bumps, mixture", bumpy(), skin(0.1), sun(5.0), "mixture"),
+        of("sun, bumps, bono", bumpy(), skin(0.2), sun(5.0), "bono"),
+        of("sun in a sky, cube, mixture", cube(), skin(0.15), sky_and_rect.clone(), "mixture"),
+        of("sun in a sky, bumps", bumpy(), gray(0.4, 0.0, 1.2), sky_and_rect, "classical"),
+        of("sun, air in water", cube(), gray(0.3, 0.0, 1.0 / 1.33), sun(6.0), "mixture"),
+    ]
+}
+
+#[test]
+fn suns_are_neither_lost_nor_counted_twice() {
+    let (mut tests, mut noise) = (Vec::new(), Vec::new());
+    for case in sun_cases() {
+        let chance = [3, 4].map(|seed| case.color("off", 8 * case.samples, seed));
+        for how in ["auto", "on"] {
+            let images = [1, 2].map(|seed| case.color(how, case.samples, seed));
+            let name = format!("{}, {how}", case.name);
+            compare(&name, &images[0], &chance[0], &mut tests);
+            let squares = |[a, b]: &[Vec<f32>; 2]| a.iter().zip(b).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>();
+            // By chance it has eight times the samples.
+            noise.push((name, squares(&images) / (8.0 * squares(&chance))));
+        }
+    }
+    eprintln!("{noise:?}");
+    judge("suns", tests);
+    for (name, ratio) in noise.iter().filter(|(name, _)| !name.contains("sky")) {
+        assert!(*ratio < 0.5, "{name}: {ratio} of the noise of chance");
+    }
+}
+
+/// Walks of the mixture search for a single direction as classical ones do.
+#[test]
+fn guided_walks_see_single_directions() {
+    let lights = vec![behind(LightShape::Distant { angle: 0.0 }, 10.0)];
+    let [classical, guided] = ["classical", "mixture"].map(|walk| {
+        let medium = medium([0.99, 0.9, 0.7], [0.1, 0.07, 0.05], 0.0, 1.3);
+        Case { name: "single", body: bumpy(), medium, lights: lights.clone(), walk, samples: 2048 }
+    });
+    let mut tests = Vec::new();
+    compare("single direction", &guided.color("auto", 2048, 1), &classical.color("on", 2048, 2), &mut tests);
+    judge("single directions in guided walks", tests);
 }
 
 /// Behind rough boundaries every light with a size or none is looked for by facets.

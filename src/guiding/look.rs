@@ -161,7 +161,7 @@ pub fn explain(scene: &Scene, settings: &RenderSettings) -> Vec<Explanation> {
             bent > 0,
             bent_why,
             "no dielectric boundary with small lights around it (meshes do not count) and nothing within, or a smooth \
-             one and exact weights",
+             one, exact weights and no suns",
         ),
         line(
             "exit lights",

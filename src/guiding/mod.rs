@@ -34,7 +34,7 @@ use exit::Exit;
 use field::Field;
 use glam::{Vec2, Vec3};
 use onward::Onward;
-use plan::{Plan, Walk, plans};
+use plan::{Looks, Plan, Walk, plans};
 use statistics::{RegionId, Statistics, Sums};
 use std::collections::BTreeMap;
 use std::io;
@@ -72,6 +72,8 @@ impl ExitLights {
 pub struct Guide {
     /// By surface; `None`: no scattering medium.
     pub plans: Vec<Option<Plan>>,
+    /// Whether collisions search for suns.
+    pub suns: bool,
     /// By surface.
     media: Vec<Option<GuidedMedium>>,
     /// By instance; `None`: nothing to know about its boundary. Boxed: of a million instances few have one.
@@ -107,6 +109,9 @@ impl Guide {
     /// Plans and kernels; fields are to be filled where a plan needs them.
     pub fn new(scene: &Scene, settings: &RenderSettings) -> Self {
         let plans = plans(scene, settings);
+        // Of domes that looks at every pixel.
+        let searches = |plan: &Plan| matches!(plan.looks, Looks::Smooth | Looks::Suns);
+        let suns = plans.iter().flatten().any(searches) && scene.lights.has_suns();
         let media = plans
             .iter()
             .zip(&scene.surfaces)
@@ -118,6 +123,7 @@ impl Guide {
             beams_of: Vec::new(),
             homes: Vec::new(),
             plans,
+            suns,
             light_samples: (EXIT_SAMPLES / scene.lights.len().max(1) as u32).max(1),
             exit_lights: ExitLights::of(scene, settings),
             guided_first: settings.first_distance != "classical",

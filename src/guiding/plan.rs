@@ -33,6 +33,8 @@ pub enum Looks {
     Not,
     /// Into single directions: where beams of light come from, or by searching.
     Smooth,
+    /// The latter alone, for suns.
+    Suns,
     /// By its facets.
     Rough,
 }
@@ -95,6 +97,7 @@ pub fn plans(scene: &Scene, settings: &RenderSettings) -> Vec<Option<Plan>> {
         plan.why += match plan.looks {
             Looks::Not => "",
             Looks::Smooth => "; collisions look for light through its smooth boundary",
+            Looks::Suns => "; collisions look for suns through its smooth boundary",
             Looks::Rough => "; collisions look for light through its rough boundary",
         };
         plan.shares = shares(scene, settings, &interior, varies);
@@ -107,7 +110,7 @@ pub fn plans(scene: &Scene, settings: &RenderSettings) -> Vec<Option<Plan>> {
 }
 
 /// Whether collisions look for light through the boundary of a medium that scatters. By itself only where lights are small, and
-/// through a smooth boundary not in walks of the mixture: those are for bodies so thick that light seldom gets
+/// through a smooth boundary for nothing but suns in walks of the mixture: those are for bodies so thick that light seldom gets
 /// to a collision straight, and each of theirs would cost a sum over techniques. `owner` wears the `coating`.
 fn looks(scene: &Scene, settings: &RenderSettings, coating: &Coating, owner: &Instance, plan: &Plan) -> Looks {
     let bends = |interior: Interior| interior.medium.scatters() && interior.boundary == Boundary::Dielectric;
@@ -125,8 +128,12 @@ fn looks(scene: &Scene, settings: &RenderSettings, coating: &Coating, owner: &In
     // These know one medium, one index and the mesh's own normals: where a network drives them, chance has the light.
     let constant = coating.driven.is_none();
     let smooth = constant && coating.surface.smooth_interface().is_some() && has_plain_normals(scene, owner);
-    let pays = settings.refracted_light == "on" || !plan.exact;
-    if smooth && pays { Looks::Smooth } else { Looks::Not }
+    match settings.refracted_light == "on" || !plan.exact {
+        _ if !smooth => Looks::Not,
+        true => Looks::Smooth,
+        false if scene.lights.has_suns() => Looks::Suns,
+        false => Looks::Not,
+    }
 }
 
 /// Whether neighbouring pixels may share paths: all that they need to know of each other's is the way from vertex to vertex, so that nothing

@@ -5,16 +5,17 @@
 //! look, whose density is known in closed form: both share the light by the power heuristic. Chance alone has what the beams
 //! do not know, and what is met after further collisions is theirs.
 //!
-//! Lights of a single direction cannot be met: `manifold` connects to them.
+//! Suns, whose beams are too narrow for that, are searched for (`suns`), but for those that are reflected inside.
 
 use super::collision::{CollisionLight, Into};
 use super::manifold::Window;
 use super::shadow::visibility;
+use super::suns::{FirstWay, Search, Suns};
 use crate::bsdf::{Side, fresnel::reflect};
 use crate::guiding::Guide;
 use crate::guiding::beams::Beams;
 use crate::interaction::Interaction;
-use crate::light::{SHORT, Single};
+use crate::light::SHORT;
 use crate::math::{PI, Rgb, mean};
 use crate::medium::Medium;
 use crate::sampling::power_heuristic;
@@ -40,24 +41,15 @@ fn looks(worth: f32) -> f32 {
     if looks.is_finite() { looks } else { 0.0 }
 }
 
-/// Share of the collisions that try to connect at all: a connection costs as much as ten steps of the walk. A flat optimum,
-/// as the next (docs/performance.md, "Smooth dielectrics").
-const TRIED: f32 = 0.25;
-
-/// Of those tried, the share that goes on to search: this times what the medium passes to the plane where the straight way
-/// leaves. On a flat face no bent way is shorter, so that none is worth much more than its chance, however grazing the sun.
-const SEARCHED: f32 = 0.4;
-
-/// Searches for one direction, from as many starts.
-const SEARCHES: usize = 4;
-
 /// Light that a boundary bends on its way to collisions in `medium`.
 #[derive(Clone, Copy)]
 pub(super) struct Bent<'a> {
+    instance: u32,
+    surface: u32,
     window: Window<'a>,
     medium: Medium,
-    /// Whether there are lights of a single direction.
-    single: bool,
+    /// `None`: there are none.
+    pub suns: Option<Suns<'a>>,
     /// `None`: none are known.
     beams: Option<&'a Beams>,
 }
@@ -74,11 +66,14 @@ pub(super) struct Aim {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Refracted {
     instance: u32,
+    surface: u32,
     /// Drawn by the collision.
     d: Vec3,
     /// Solid-angle pdf of `d`, times the probability to get here. That of reflections is not in it, nor in those of looks.
     pdf: f32,
-    aim: Aim,
+    /// `None`: it asked no beams.
+    aim: Option<Aim>,
+    first: FirstWay,
     legs: u32,
 }
 
@@ -95,27 +90,47 @@ impl Refracted {
         Self { pdf: self.pdf * transmitted, ..self }
     }
 
-    /// MIS weight of having met a light by chance.
-    pub fn weight(&self, guide: &Guide) -> f32 {
-        let Some(beams) = guide.beams_in(self.instance) else { return 1.0 };
-        power_heuristic(self.pdf, self.aim.density * beams.pdf(self.aim.cell, self.d))
+    /// MIS weight of having met `light` by chance, along `v`.
+    pub fn weight(&self, scene: Moment, guide: &Guide, light: u32, v: Vec3) -> f32 {
+        let beams = || Some((guide.beams_in(self.instance)?, self.aim?));
+        let by_beams =
+            || beams().map_or(1.0, |(beams, aim)| power_heuristic(self.pdf, aim.density * beams.pdf(aim.cell, self.d)));
+        let suns = || Bent::new(guide, scene, self.instance, self.surface, None)?.suns;
+        let sun = (self.legs == 1).then(suns).flatten().and_then(|suns| Some((suns, suns.pdf(light, v)?)));
+        sun.map_or_else(by_beams, |(suns, pdf)| {
+            suns.weight(&InstanceEnclosure::new(scene, self.instance), &self.first, light, v, pdf)
+        })
     }
 }
 
 impl<'a> Bent<'a> {
     /// `None` unless `surface` makes a smooth dielectric boundary of `instance`, and there is light to look for.
-    pub fn new(scene: Moment<'a>, instance: u32, surface: u32, beams: Option<&'a Beams>) -> Option<Self> {
-        let single = scene.lights.has_single();
-        (single || beams.is_some()).then_some(())?;
+    pub fn new(
+        guide: &Guide,
+        scene: Moment<'a>,
+        instance: u32,
+        surface: u32,
+        beams: Option<&'a Beams>,
+    ) -> Option<Self> {
         let error = InstanceEnclosure::new(scene, instance).position_error();
         let window = Window::new(scene, instance, surface, error)?;
         let medium = scene.surfaces[surface as usize].interior?.medium;
-        Some(Self { window, medium, single, beams })
+        let suns = guide.suns.then(|| Suns::new(scene, instance, window, medium));
+        (suns.is_some() || beams.is_some()).then_some(Self { instance, surface, window, medium, suns, beams })
     }
 
-    /// The start of a path's way from a collision that drew `d` with solid-angle pdf `pdf`, and looked for light by `aim`.
-    pub fn from(&self, instance: u32, d: Vec3, pdf: f32, aim: Aim) -> Refracted {
-        Refracted { instance, d, pdf, aim, legs: 0 }
+    /// The start of a path's way from a collision that drew `d` with solid-angle pdf `pdf` and looked for light by `aim`.
+    pub fn from(&self, d: Vec3, pdf: f32, aim: Option<Aim>, first: FirstWay) -> Refracted {
+        Refracted { instance: self.instance, surface: self.surface, d, pdf, aim, first, legs: 0 }
+    }
+
+    /// Whether there is nothing but suns, and what a collision at `x` then searches for.
+    pub fn search(&self, enclosure: &InstanceEnclosure, x: Vec3, sampler: &mut Sampler) -> Option<Search> {
+        self.suns.as_ref()?.search(enclosure, x, sampler)
+    }
+
+    pub fn has_beams(&self) -> bool {
+        self.beams.is_some()
     }
 
     /// Adds what a collision sees of the lights. Returns the shadow rays that took.
@@ -140,8 +155,8 @@ impl<'a> Bent<'a> {
                 shadow_rays += self.look(to, collision, aim, d, enclosure, sampler, into);
             }
         }
-        if self.single {
-            shadow_rays += self.connect(to, collision, sampler, into);
+        if let Some((suns, search)) = self.suns.as_ref().zip(into.search.take()) {
+            shadow_rays += suns.connect(to, &search, collision, into);
         }
         shadow_rays
     }
@@ -169,7 +184,7 @@ impl<'a> Bent<'a> {
     ) -> u64 {
         let (drawn, mut p, mut from, mut shadow_rays) = (d, collision.p, None, 0);
         let (mut passed, mut reached) = (Rgb::ONE, 1.0);
-        for _ in 0..MOST_LEGS {
+        for leg in 0..MOST_LEGS {
             let Some((t, hit)) = enclosure.cast(p, d, f32::INFINITY, from) else { break };
             let exit = to.scene.interaction(&enclosure.surface_hit(&hit), d, Side::Inside);
             passed *= self.medium.transmittance(t);
@@ -179,7 +194,7 @@ impl<'a> Bent<'a> {
             if let Some((v, _)) = refracted.filter(|(v, share)| *share > 0.0 && v.dot(exit.ng) > 0.0) {
                 let value = || self.value(collision, aim, drawn, reached * transmitted);
                 let passed = passed * self.window.radiance_of(transmitted);
-                shadow_rays += self.see(to, collision.weight * passed, &exit, v, value, into);
+                shadow_rays += self.see(to, collision.weight * passed, leg, &exit, v, value, into);
             }
             // As likely as a path would be.
             if sampler.random() < transmitted {
@@ -202,11 +217,13 @@ impl<'a> Bent<'a> {
         phase * weight / (aim.density * collision.role.share() * pdf)
     }
 
-    /// Adds the lights that `v` meets beyond `exit`, times `passed` and `value`, which is asked where there are some.
+    /// Adds the lights that `v` meets beyond `exit`, after so many reflections, times `passed` and `value`, which is asked where
+    /// there are some.
     fn see(
         &self,
         to: &CollisionLight,
         passed: Rgb,
+        reflections: u32,
         exit: &Interaction,
         v: Vec3,
         value: impl Fn() -> f32,
@@ -229,45 +246,10 @@ impl<'a> Bent<'a> {
             meet(light, lights.radiance_hit(light, v, hit), hit.t * SHORT);
         });
         for &light in scene.lights.infinite() {
-            meet(light, lights.escaped(light, v), f32::INFINITY);
-        }
-        shadow_rays
-    }
-
-    /// Connects to a light of a single direction.
-    fn connect(&self, to: &CollisionLight, collision: &Collision, sampler: &mut Sampler, into: &mut Into) -> u64 {
-        if sampler.random() >= TRIED {
-            return 0;
-        }
-        let single = to.scene.lights().sample_single(sampler.random());
-        let Some(Single { light, wi, irradiance }) =
-            single.filter(|single| to.scene.illuminates(single.light, to.instance))
-        else {
-            return 0;
-        };
-        let Some(straight) = self.window.start(collision.p, wi) else { return 0 };
-        let depth = straight.t * straight.d.dot(straight.frame.n).abs();
-        let searched = (SEARCHED * mean(self.medium.transmittance(depth))).min(1.0);
-        if sampler.random() >= searched {
-            return 0;
-        }
-        let (mut found, mut shadow_rays) = ([None; SEARCHES], 0);
-        for i in 0..SEARCHES {
-            let x = collision.p;
-            let start = if i == 0 { Some(straight) } else { self.window.start_beside(x, &straight, i - 1) };
-            let Some(at) = start.and_then(|start| self.window.solve(x, start)) else { continue };
-            if found[..i].iter().flatten().any(|other| self.window.is_at(other, at.p)) {
-                continue;
-            }
-            found[i] = Some(at);
-            let (phase, _) = (collision.scatter)(at.d);
-            let passed = collision.weight * self.medium.transmittance(at.t) * self.window.radiance(&at);
-            let value = passed * irradiance * (phase * self.window.spread(&at) / (TRIED * searched));
-            if value.is_finite() && value != Rgb::ZERO {
-                shadow_rays += 1;
-                let (o, origin) = (self.window.interaction(&at).origin(at.v), Some((to.instance, at.hit.triangle)));
-                let visible = visibility(to.scene, light, o, at.v, f32::INFINITY, origin, to.around);
-                to.give(into, light, value * visible);
+            let is_sun = |suns: &Suns| reflections == 0 && suns.pdf(light, v).is_some();
+            let radiance = lights.escaped(light, v);
+            if radiance != Rgb::ZERO && !self.suns.as_ref().is_some_and(is_sun) {
+                meet(light, radiance, f32::INFINITY);
             }
         }
         shadow_rays

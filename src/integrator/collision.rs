@@ -6,6 +6,7 @@ use super::lobes::By;
 use super::nest::Nest;
 use super::rough::{Glance, Rough, Sought};
 use super::shadow::visibility_beyond;
+use super::suns::Search;
 use super::{Bucket, add_to};
 use crate::bsdf::Response;
 use crate::film::Sample;
@@ -31,11 +32,13 @@ pub(super) struct Into<'a> {
     pub sought: Sought,
     /// The look that the collision takes there; `None`: none.
     pub glance: Option<Glance>,
+    /// Its search for a sun through a smooth one; `None`: none.
+    pub search: Option<Search>,
 }
 
 impl<'a> Into<'a> {
     pub fn new(sample: &'a mut Sample, groups: &'a mut [Rgb], lobes: &'a mut [Rgb]) -> Self {
-        Self { sample, groups, lobes, aim: None, sought: Sought::default(), glance: None }
+        Self { sample, groups, lobes, aim: None, sought: Sought::default(), glance: None, search: None }
     }
 }
 
@@ -68,9 +71,17 @@ pub(super) struct CollisionLight<'a> {
 impl CollisionLight<'_> {
     /// Whether the collision at `p` looks for light, by what is known without its weight.
     pub fn looks(&self, p: Vec3, enclosure: &InstanceEnclosure, sampler: &mut Sampler, into: &mut Into) -> bool {
-        let Some(Bends::Rough(rough)) = &self.bends else { return true };
-        into.glance = rough.glance(self, enclosure, p, sampler, into);
-        into.glance.is_some()
+        match &self.bends {
+            None => true,
+            Some(Bends::Smooth(bent)) => {
+                into.search = bent.search(enclosure, p, sampler);
+                bent.has_beams() || into.search.is_some()
+            }
+            Some(Bends::Rough(rough)) => {
+                into.glance = rough.glance(self, enclosure, p, sampler, into);
+                into.glance.is_some()
+            }
+        }
     }
 
     /// Adds what a collision that [`Self::looks`] sees of a light. Returns the shadow rays that took.

@@ -112,7 +112,7 @@ impl Path<'_> {
             Previous::Delta => Rgb::ONE,
             // No collision looks for the light of meshes.
             Previous::Refracted(_) if self.scene.lights.is_mesh(light) => Rgb::ONE,
-            Previous::Refracted(last) => Rgb::splat(last.weight(self.guide)),
+            Previous::Refracted(last) => Rgb::splat(last.weight(self.scene, self.guide, light, self.d)),
             Previous::Camera => {
                 let visible = self.settings.lights_visible_to_camera || self.scene.lights.camera_visible(light);
                 Rgb::splat(if visible { 1.0 } else { 0.0 })

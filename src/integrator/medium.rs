@@ -8,6 +8,7 @@ use super::entry::Entry;
 use super::leave::Begun;
 use super::nest::Nest;
 use super::rough::{CameFrom, Rough};
+use super::suns::FirstWay;
 use super::{Path, Previous};
 use crate::bsdf::{Boundary, Event, Response, Side, Surface};
 use crate::guiding::look::shares_by_kind;
@@ -76,8 +77,9 @@ impl<'a> Path<'a> {
         let beside = self.inside.index_beside(si.instance);
         let bends = match plan.looks {
             // The search knows the boundary in air.
-            Looks::Smooth if beside == 1.0 => {
-                Bent::new(scene, si.instance, si.surface, self.guide.beams_in(si.instance)).map(Bends::Smooth)
+            Looks::Smooth | Looks::Suns if beside == 1.0 => {
+                let beams = self.guide.beams_in(si.instance).filter(|_| plan.looks == Looks::Smooth);
+                Bent::new(self.guide, scene, si.instance, si.surface, beams).map(Bends::Smooth)
             }
             Looks::Rough => {
                 Rough::new(self.guide, &coating.surface, interior.medium, beside, self.cone.width).map(Bends::Rough)
@@ -196,7 +198,7 @@ impl<'a> Path<'a> {
     ) -> Option<Refracted> {
         let Some(Bends::Smooth(bent)) = &passage.bends else { return None };
         match scattered {
-            Some((x, pdf)) => bent.from(passage.instance, d, pdf, self.aim?).further(bent, (p - x).length()),
+            Some((x, pdf)) => bent.from(d, pdf, self.aim, FirstWay { x, p }).further(bent, (p - x).length()),
             None => last?.further(bent, (p - start).length()),
         }
     }

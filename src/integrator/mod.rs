@@ -18,6 +18,7 @@ mod probe;
 mod reuse;
 mod rough;
 mod shadow;
+mod suns;
 mod surface;
 mod wade;
 mod watch;

@@ -41,7 +41,7 @@ const BROAD_ALONE: f32 = 2.0;
 const CLEAR: f32 = 16.0;
 
 /// Of the directions that walks draw, for MIS: nominal, so that no walk has to know its own.
-const BY_CHANCE: f32 = 0.25 / PI;
+pub(super) const BY_CHANCE: f32 = 0.25 / PI;
 
 /// A rough boundary as it is seen from within.
 #[derive(Clone, Copy)]

@@ -49,6 +49,11 @@ impl Distant {
         self.one_minus_cos == 0.0
     }
 
+    /// Whether it fills less than a sun does ([`super::SUN_PDF`]).
+    pub fn is_narrow(&self) -> bool {
+        self.is_delta() || self.cone_pdf() >= super::SUN_PDF
+    }
+
     pub fn shines(&self) -> bool {
         self.emission.radiance != Rgb::ZERO
     }

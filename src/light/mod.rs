@@ -47,7 +47,6 @@ pub use linking::{Categories, Members};
 pub use motion::LightsAt;
 pub use shadow::Shadow;
 pub use shape::{Shape, ShapeHit};
-pub use small::Single;
 
 use crate::math::Rgb;
 use glam::{Vec2, Vec3};
@@ -93,6 +92,9 @@ pub struct LightSample {
     /// A single direction: no other sampler can find it.
     pub delta: bool,
 }
+
+/// Solid-angle pdf of a light's sample from which the light there is a sun: a hundredth of a steradian, seven degrees.
+pub const SUN_PDF: f32 = 100.0;
 
 /// Shadow rays to a point on a mesh light stop short of it by this share of the distance, so that
 /// the light's own triangle does not shadow it; f32 positions resolve no finer.
