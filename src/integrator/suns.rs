@@ -143,3 +143,6 @@ impl<'a> Suns<'a> {
         power_heuristic(self.by_chance((way.p - way.x).length()), density)
     }
 }
+
+#[cfg(test)]
+mod tests;
