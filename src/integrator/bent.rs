@@ -49,7 +49,7 @@ pub(super) struct Bent<'a> {
     window: Window<'a>,
     medium: Medium,
     /// `None`: there are none.
-    pub suns: Option<Suns<'a>>,
+    suns: Option<Suns<'a>>,
     /// `None`: none are known.
     beams: Option<&'a Beams>,
 }
@@ -124,7 +124,7 @@ impl<'a> Bent<'a> {
         Refracted { instance: self.instance, surface: self.surface, d, pdf, aim, first, legs: 0 }
     }
 
-    /// Whether there is nothing but suns, and what a collision at `x` then searches for.
+    /// The sun that a collision at `x` searches for, if it does.
     pub fn search(&self, enclosure: &InstanceEnclosure, x: Vec3, sampler: &mut Sampler) -> Option<Search> {
         self.suns.as_ref()?.search(enclosure, x, sampler)
     }
@@ -246,6 +246,7 @@ impl<'a> Bent<'a> {
             meet(light, lights.radiance_hit(light, v, hit), hit.t * SHORT);
         });
         for &light in scene.lights.infinite() {
+            // Those are searched for.
             let is_sun = |suns: &Suns| reflections == 0 && suns.pdf(light, v).is_some();
             let radiance = lights.escaped(light, v);
             if radiance != Rgb::ZERO && !self.suns.as_ref().is_some_and(is_sun) {

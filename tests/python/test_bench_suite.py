@@ -211,7 +211,7 @@ def test_methods_are_interleaved_in_seeded_order(tmp_path):
     assert first[:6] != [(0, *rest) for _, *rest in first[6:12]]
 
 
-@pytest.mark.parametrize(("name", "scenes"), [("rigs", 13), ("order", 12), ("slopes", 3)])
+@pytest.mark.parametrize(("name", "scenes"), [("rigs", 14), ("order", 12), ("slopes", 3)])
 def test_rigs_are_described_for_the_stages_that_exist(shared_scenes, name, scenes):
     read = suite_of("--spec", RIGS.with_name(f"bench_{name}.json"))
     assert len(read.scenes) == scenes
