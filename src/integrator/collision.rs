@@ -141,3 +141,20 @@ impl CollisionLight<'_> {
         }
     }
 }
+
+#[cfg(test)]
+impl<'a> CollisionLight<'a> {
+    /// In the one body of `scene`, alone.
+    pub fn alone(scene: Moment<'a>) -> Self {
+        Self {
+            scene,
+            instance: 0,
+            around: &Nest::OUTSIDE,
+            scale: 1.0,
+            bucket: Bucket::Subsurface,
+            by: By::nothing(false),
+            bends: None,
+            entry: Vec3::Z,
+        }
+    }
+}

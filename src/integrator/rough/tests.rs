@@ -3,10 +3,7 @@
 use super::*;
 use crate::film::Sample;
 use crate::flat::{self, LightShape, PreviewSurface, RenderSettings};
-use crate::integrator::Bucket;
-use crate::integrator::lobes::By;
 use crate::integrator::manifold::tests::ball_of;
-use crate::integrator::nest::Nest;
 use crate::math::Rgb;
 use crate::medium::phase_eval;
 use crate::sampling::direction_about;
@@ -134,16 +131,7 @@ fn looks_have_their_density() {
         let interior = coating.interior.expect("a medium");
         let rough = Rough::new(&guide, &coating.surface, interior.medium, 1.0, 0.0).expect("rough");
         let enclosure = InstanceEnclosure::new(moment, 0);
-        let to = CollisionLight {
-            scene: moment,
-            instance: 0,
-            around: &Nest::OUTSIDE,
-            scale: 1.0,
-            bucket: Bucket::Subsurface,
-            by: By::nothing(false),
-            bends: None,
-            entry: Vec3::Z,
-        };
+        let to = CollisionLight::alone(moment);
         let bench = Bench { to, rough, enclosure, x, g: interior.medium.g };
         let mut sampler = Sampler::new(11, 0, 0);
         let looks = bench.looks(COUNT, &mut sampler).mean();

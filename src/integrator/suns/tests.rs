@@ -4,10 +4,7 @@ use super::*;
 use crate::bsdf::Side;
 use crate::film::Sample;
 use crate::flat::{Light, LightShape, PreviewSurface};
-use crate::integrator::Bucket;
-use crate::integrator::lobes::By;
 use crate::integrator::manifold::tests::ball_of;
-use crate::integrator::nest::Nest;
 use crate::math::PI;
 use crate::sampling::direction_about;
 use crate::subsurface::steps::Enclosure;
@@ -43,16 +40,7 @@ fn connections_have_their_density() {
         let enclosure = InstanceEnclosure::new(moment, 0);
         let window = Window::new(moment, 0, 0, enclosure.position_error()).expect("smooth");
         let suns = Suns::new(moment, 0, window, medium);
-        let to = CollisionLight {
-            scene: moment,
-            instance: 0,
-            around: &Nest::OUTSIDE,
-            scale: 1.0,
-            bucket: Bucket::Subsurface,
-            by: By::nothing(false),
-            bends: None,
-            entry: Vec3::Z,
-        };
+        let to = CollisionLight::alone(moment);
         let (mut sampler, phase) = (Sampler::new(12, 0, 0), 0.25 / PI);
         let scatter = |_: Vec3| (phase, f32::NAN);
         let collision = Collision { p: x, weight: Rgb::ONE, role: Role::Own, scatter: &scatter };
