@@ -16,7 +16,7 @@ use crate::sampling::power_heuristic;
 use crate::sampling::sampler::Sampler;
 use crate::scene::{InstanceEnclosure, Moment, SurfaceHit};
 use crate::subsurface::steps::Enclosure;
-use crate::subsurface::walk::Collision;
+use crate::subsurface::walk::{Collision, Role};
 use glam::{Vec2, Vec3};
 
 /// Where a path's light goes.
@@ -70,11 +70,19 @@ pub(super) struct CollisionLight<'a> {
 
 impl CollisionLight<'_> {
     /// Whether the collision at `p` looks for light, by what is known without its weight.
-    pub fn looks(&self, p: Vec3, enclosure: &InstanceEnclosure, sampler: &mut Sampler, into: &mut Into) -> bool {
+    pub fn looks(
+        &self,
+        p: Vec3,
+        role: Role,
+        enclosure: &InstanceEnclosure,
+        sampler: &mut Sampler,
+        into: &mut Into,
+    ) -> bool {
         match &self.bends {
             None => true,
             Some(Bends::Smooth(bent)) => {
-                into.search = bent.search(enclosure, p, sampler);
+                let counted = matches!(role, Role::Counted(_));
+                into.search = if counted { None } else { bent.search(enclosure, p, sampler) };
                 bent.has_beams() || into.search.is_some()
             }
             Some(Bends::Rough(rough)) => {

@@ -68,8 +68,9 @@ impl Path<'_> {
             if let Some(entry) = &mut entry {
                 entry.collision(collision.p, collision.weight / start.weight, PerTechnique::default());
             }
-            if let Some(light) = light.as_ref().filter(|light| light.looks(collision.p, enclosure, sampler, &mut into))
-            {
+            let looks =
+                |light: &&CollisionLight| light.looks(collision.p, collision.role, enclosure, sampler, &mut into);
+            if let Some(light) = light.as_ref().filter(looks) {
                 *shadow_rays += light.add(collision, enclosure, sampler, &mut into);
             }
         };

@@ -20,7 +20,7 @@ use crate::scene::{BoundaryHit, Coating, InstanceEnclosure, SurfaceHit};
 use crate::subsurface::mixture::{Visitor, walk_mixture};
 use crate::subsurface::steps::{Enclosure, Start, WalkEnd};
 use crate::subsurface::technique::{Densities, GuidedMedium};
-use crate::subsurface::walk::Collision;
+use crate::subsurface::walk::{Collision, Role};
 use glam::Vec3;
 
 /// The last collision of a walk and the solid-angle pdf with which it went on, as in [`WalkEnd::Boundary`].
@@ -365,7 +365,7 @@ impl<const LIT: bool> Visitor for Collisions<'_, LIT> {
 
     fn looks(&mut self, p: Vec3, sampler: &mut Sampler) -> bool {
         let enclosure = &self.passage.enclosure;
-        self.light.as_ref().is_some_and(|light| light.looks(p, enclosure, sampler, &mut self.into))
+        self.light.as_ref().is_some_and(|light| light.looks(p, Role::Own, enclosure, sampler, &mut self.into))
     }
 
     fn collide(&mut self, collision: &Collision, sampler: &mut Sampler) {

@@ -41,7 +41,12 @@ const BROAD_ALONE: f32 = 2.0;
 const CLEAR: f32 = 16.0;
 
 /// Of the directions that walks draw, for MIS: nominal, so that no walk has to know its own.
-pub(super) const BY_CHANCE: f32 = 0.25 / PI;
+const BY_CHANCE: f32 = 0.25 / PI;
+
+/// Nominal solid-angle density of directions that walks draw and that get to the boundary, `t` away.
+pub(super) fn by_chance(medium: &Medium, t: f32) -> f32 {
+    BY_CHANCE * mean(medium.transmittance(t))
+}
 
 /// A rough boundary as it is seen from within.
 #[derive(Clone, Copy)]
@@ -183,11 +188,6 @@ impl<'a> Rough<'a> {
         if w.z < 0.0 { ahead.expected * self.facets.pdf(ahead.wo, w) } else { 0.0 }
     }
 
-    /// Solid-angle density of directions that walks draw and that get to the boundary, `t` away.
-    fn by_chance(&self, t: f32) -> f32 {
-        BY_CHANCE * mean(self.medium.transmittance(t))
-    }
-
     /// Adds what a collision sees. Returns the shadow rays that took.
     pub fn look(
         &self,
@@ -217,8 +217,9 @@ impl<'a> Rough<'a> {
         let (phase, _) = (collision.scatter)(d);
         let passed = collision.weight * self.medium.transmittance(t) * phase;
         let density = self.density(&ahead, d);
-        let seen =
-            passed * arriving.light * (samples * power_heuristic(density, self.by_chance(t)) / (density * chosen));
+        let seen = passed
+            * arriving.light
+            * (samples * power_heuristic(density, by_chance(&self.medium, t)) / (density * chosen));
         if seen.is_finite() {
             to.give(into, light, seen);
         }
@@ -236,7 +237,7 @@ impl CameFrom<'_> {
             false => rough.sample(lights, sample.light, enclosure.to_render(x), u),
         };
         let ahead = sought.and_then(|sought| rough.ahead(scene, enclosure, entry, x, sought.wi));
-        ahead.map_or(1.0, |ahead| power_heuristic(rough.by_chance(t), rough.density(&ahead, d)))
+        ahead.map_or(1.0, |ahead| power_heuristic(by_chance(&rough.medium, t), rough.density(&ahead, d)))
     }
 }
 

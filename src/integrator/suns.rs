@@ -8,7 +8,7 @@
 
 use super::collision::{CollisionLight, Into};
 use super::manifold::{Crossing, Window};
-use super::rough::BY_CHANCE;
+use super::rough::by_chance;
 use super::shadow::visibility;
 use crate::light::{Choice, LightSample, LightsAt, SUN_PDF};
 use crate::math::{Rgb, mean};
@@ -65,18 +65,13 @@ impl<'a> Suns<'a> {
         self.scene.lights_for(self.instance)
     }
 
-    /// Whether a light's sample with this solid-angle pdf, that of this light alone, is of a sun.
-    fn is_sun(&self, light: u32, pdf: f32) -> bool {
-        self.lights().is_same_everywhere(light) && pdf >= SUN_PDF
-    }
-
     /// Solid-angle pdf of a light beyond all in the direction `v`, if that is a sun.
     pub fn pdf(&self, light: u32, v: Vec3) -> Option<f32> {
         let lights = self.lights();
         lights.is_same_everywhere(light).then_some(())?;
         // From anywhere.
         let pdf = lights.pdf_escaped(light, Vec3::ZERO, None, Choice::All(1), v);
-        self.is_sun(light, pdf).then_some(pdf)
+        (pdf >= SUN_PDF).then_some(pdf)
     }
 
     /// Whether the collision at `x` searches, and for what, by what is known without its weight.
@@ -84,9 +79,9 @@ impl<'a> Suns<'a> {
         (sampler.random() < TRIED).then_some(())?;
         let (lights, p) = (self.lights(), enclosure.to_render(x));
         let (light, chosen) = lights.draws(p, None, Choice::ONE).choose(sampler.random())?;
+        (lights.is_same_everywhere(light) && self.scene.illuminates(light, self.instance)).then_some(())?;
         let sun = lights.sample_light(light, p, None, Vec2::new(sampler.random(), sampler.random()))?;
-        (sun.delta || self.is_sun(light, sun.pdf)).then_some(())?;
-        (sun.wi.is_finite() && self.scene.illuminates(light, self.instance)).then_some(())?;
+        (sun.delta || sun.pdf >= SUN_PDF).then_some(())?;
         let straight = self.window.start(x, sun.wi)?;
         let searched = self.searched(&straight);
         (sampler.random() < searched).then_some(Search { sun, straight, expected: TRIED * searched * chosen })
@@ -116,7 +111,7 @@ impl<'a> Suns<'a> {
             let (phase, _) = (collision.scatter)(at.d);
             let passed = collision.weight * self.medium.transmittance(at.t) * self.window.radiance(&at);
             let density = search.expected * sun.pdf / self.window.spread(&at);
-            let weight = if sun.delta { 1.0 } else { power_heuristic(density, self.by_chance(at.t)) };
+            let weight = if sun.delta { 1.0 } else { power_heuristic(density, by_chance(&self.medium, at.t)) };
             let value = passed * sun.radiance * (phase * weight / density);
             if value.is_finite() && value != Rgb::ZERO {
                 shadow_rays += 1;
@@ -128,19 +123,13 @@ impl<'a> Suns<'a> {
         shadow_rays
     }
 
-    /// Solid-angle density of directions that walks draw and that get to the boundary, `t` away: nominal, so that no walk has
-    /// to know its own.
-    fn by_chance(&self, t: f32) -> f32 {
-        BY_CHANCE * mean(self.medium.transmittance(t))
-    }
-
     /// MIS weight of a sun met by chance along `v`, where its `light` has the solid-angle pdf `pdf`.
     pub fn weight(&self, enclosure: &InstanceEnclosure, way: &FirstWay, light: u32, v: Vec3, pdf: f32) -> f32 {
         let Some(straight) = self.window.start(way.x, v) else { return 1.0 };
         let Some(at) = self.found(way.x, &straight).find(|at| self.window.is_at(at, way.p)) else { return 1.0 };
         let chosen = self.lights().choice_probability(light, enclosure.to_render(way.x), None, Choice::ONE);
         let density = TRIED * self.searched(&straight) * chosen * pdf / self.window.spread(&at);
-        power_heuristic(self.by_chance((way.p - way.x).length()), density)
+        power_heuristic(by_chance(&self.medium, (way.p - way.x).length()), density)
     }
 }
 
