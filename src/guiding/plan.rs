@@ -137,14 +137,14 @@ fn looks(scene: &Scene, settings: &RenderSettings, coating: &Coating, owner: &In
 }
 
 /// Whether neighbouring pixels may share paths: all that they need to know of each other's is the way from vertex to vertex, so that nothing
-/// may depend on its direction, on the entry, or on the time. Walks that were asked for are those of the literature.
+/// that is shared may depend on its direction, on the entry, or on the time. Walks that were asked for are those of the literature.
 fn shares(scene: &Scene, settings: &RenderSettings, interior: &Interior, varies: bool) -> bool {
     let wanted = match settings.shared_paths.as_str() {
         "off" => false,
         "on" => true,
         _ => settings.walk == "auto",
     };
-    let plain = interior.boundary == Boundary::Diffuse && interior.medium.g == 0.0 && !varies;
+    let plain = interior.boundary != Boundary::IndexMatched && interior.medium.g == 0.0 && !varies;
     wanted && plain && interior.medium.scatters() && scene.frozen.is_some()
 }
 

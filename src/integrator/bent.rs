@@ -29,7 +29,10 @@ use glam::{Vec2, Vec3};
 /// `bunny_smooth` (docs/performance.md, "Smooth dielectrics").
 const LOOKS: f32 = 1.2;
 
-/// Most looks of a collision.
+/// Times as many of the first collision: what is behind it comes from more walks than one, where pixels share it.
+const FIRST: f32 = 2.0;
+
+/// Most looks of another collision.
 const MOST_LOOKS: f32 = 4.0;
 
 /// Segments of a look: between them it is reflected.
@@ -167,7 +170,8 @@ impl<'a> Bent<'a> {
         let cell = beams.find(collision.p)?;
         let light = beams.cell(cell);
         let (phase, _) = (collision.scatter)(light.towards.try_normalize()?);
-        let expected = looks(4.0 * PI * phase * light.fluence * to.scale * mean(collision.weight));
+        let more = if collision.role == Role::Own { 1.0 } else { FIRST };
+        let expected = more * looks(4.0 * PI * phase * light.fluence * to.scale * mean(collision.weight));
         (expected > 0.0).then(|| Aim { cell, density: expected / collision.role.share() })
     }
 

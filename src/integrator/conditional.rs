@@ -5,6 +5,7 @@ use super::collision::{Bends, CollisionLight, Into};
 use super::medium::Passage;
 use super::watch::drawn;
 use crate::guiding::plan::Walk;
+use crate::math::Rgb;
 use crate::sampling::sampler::Sampler;
 use crate::scene::BoundaryHit;
 use crate::subsurface::steps::{Start, WalkEnd};
@@ -13,11 +14,12 @@ use crate::subsurface::walk::{Along, Collision, walk};
 use glam::{Vec2, Vec3};
 
 impl Path<'_> {
-    /// From boundary to boundary.
+    /// From boundary to boundary; the path has the `throughput` at the start.
     pub(super) fn conditional_walk(
         &mut self,
         passage: &Passage,
         start: Start<BoundaryHit>,
+        throughput: Rgb,
         light: Option<CollisionLight>,
         sampler: &mut Sampler,
     ) -> WalkEnd<BoundaryHit> {
@@ -63,10 +65,11 @@ impl Path<'_> {
         };
         let mut into = Into::new(&mut self.sample, &mut *self.groups, &mut *self.lobes);
         let shadow_rays = &mut self.stats.shadow_rays;
-        let mut entry = self.log.as_mut().and_then(|log| log.entry.as_mut()).filter(|_| passage.first);
+        let mut notes =
+            self.log.as_mut().filter(|_| passage.noted).and_then(|log| log.notes(throughput, passage.first));
         let collide = |collision: &Collision, sampler: &mut Sampler| {
-            if let Some(entry) = &mut entry {
-                entry.collision(collision.p, collision.weight / start.weight, PerTechnique::default());
+            if let (Some(notes), Some(weight)) = (&mut notes, collision.walked) {
+                notes.collision(collision.p, weight / start.weight, PerTechnique::default(), &into);
             }
             let looks =
                 |light: &&CollisionLight| light.looks(collision.p, collision.role, enclosure, sampler, &mut into);
@@ -79,11 +82,11 @@ impl Path<'_> {
         let segments = stats.steps;
         let ahead = matches!(passage.bends, Some(Bends::Smooth(_)));
         let end = walk(enclosure, medium, slab, start, ahead, sampler, stats, late, collide);
-        self.aim = into.aim;
-        if let (Some(entry), WalkEnd::Boundary { hit, d, weight, .. }) = (self.entry(passage.first), &end) {
+        if let (Some(mut notes), WalkEnd::Boundary { hit, d, weight, .. }) = (notes, &end) {
             let at = (passage.enclosure.point(hit), passage.enclosure.normal(hit));
-            entry.exit(at, *d, *weight / start.weight, PerTechnique::default());
+            notes.exit(at, *d, *weight / start.weight, PerTechnique::default(), &into);
         }
+        self.aim = into.aim;
         if passage.first && self.guide.watched() {
             let segments = self.stats.walk.steps - segments;
             self.watch(passage.instance, &start, segments, followed, drawn(followed, start.normal));

@@ -1,6 +1,9 @@
-//! What a camera path notes of its first walk, so that the pixels around it may have a part of what it brings.
+//! What a camera path notes of its first walks, so that the pixels around it may have a part of what it brings.
 
-use super::Path;
+use super::collision::Into;
+use super::{Path, WalkLog};
+use crate::bsdf::Boundary;
+use crate::film::Sample;
 use crate::guiding::onward::Onward;
 use crate::interaction::Interaction;
 use crate::math::Rgb;
@@ -10,10 +13,14 @@ use crate::subsurface::steps::Start;
 use crate::subsurface::technique::{GuidedMedium, PerTechnique, TECHNIQUES};
 use glam::{BVec3, Vec3};
 
-/// Most vertices behind the entry that are noted: each is a mean free path farther from the entry, and costs a sum over techniques.
-const MOST: usize = 4;
+/// Most vertices behind the entry that are noted: each costs a sum over techniques, and the ways to it.
+const MOST: usize = 8;
 
-/// Mean free paths in pixels above which the first vertex is enough, and collisions too far apart to be of use to each other.
+/// The same behind a diffuse boundary, where what is behind the entry is shared first.
+const MOST_DIFFUSE: usize = 4;
+
+/// Mean free paths in pixels above which all collisions of a group of pixels are near each other; behind a diffuse boundary the first
+/// vertex is enough there.
 pub(super) const WIDE: f32 = 8.0;
 
 /// Mean free paths in pixels below which pixels have nothing to share.
@@ -32,8 +39,12 @@ const QUIET: f32 = 3.0;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Kind {
     Collides,
-    /// Comes out: unit normal, on its way.
+    /// The same after the boundary has reflected it: the way there is its own.
+    Returns,
+    /// Comes out of a diffuse boundary: unit normal, on its way.
     Leaves(Vec3),
+    /// Meets a boundary that asks where it came from: what is behind it is its own.
+    Meets,
     /// Ends without light, outside of a boundary that it has not crossed.
     Leaks,
 }
@@ -46,9 +57,23 @@ pub(super) struct Vertex {
     pub kind: Kind,
     /// f / pdf of what leads there from the entry, the albedo of a collision included.
     pub weight: Rgb,
+    /// The same of the step to it, however that ended: of a collision before its albedo, at the boundary before it reflects.
+    pub arrived: Rgb,
 }
 
-/// Where a camera path entered a medium through a diffuse boundary, and what it brought from inside.
+impl Kind {
+    /// Whether it is scattered there.
+    pub fn scatters(self) -> bool {
+        matches!(self, Self::Collides | Self::Returns)
+    }
+
+    /// Whether no other walk could have made the step to it.
+    pub fn is_own(self) -> bool {
+        matches!(self, Self::Returns | Self::Meets)
+    }
+}
+
+/// Where a camera path entered a medium, and the first vertices of its walk there.
 #[derive(Debug, Clone, Copy)]
 pub struct Entry {
     pub(super) instance: u32,
@@ -66,14 +91,17 @@ pub struct Entry {
     count: usize,
     /// That are to be noted; 0: the path is its pixel's alone.
     pub(super) most: usize,
-    /// Density ratios of what leads to the last of them.
+    /// The first vertex that what is behind is shared of, 0 being the entry.
+    pub(super) from: usize,
+    /// With which the walk has met the boundary since the last of them; `None`: it has not.
+    met: Option<Rgb>,
+    /// Density ratios of what leads to the last of them that the first walk has, or to its end where there was room for more: which
+    /// of these is last must not depend on what follows.
     pub(super) ratios: PerTechnique,
-    /// Control variates of what is behind it, to be subtracted per throughput.
+    /// Control variates of what is behind that, to be subtracted per throughput.
     pub(super) correction: Rgb,
     /// What a walk is expected to bring per throughput; 0: not known, or of no use.
     pub(super) expected: Rgb,
-    /// What the path had brought before it entered; then, what it brought since.
-    pub(super) brought: Rgb,
     /// Whether what it brought is no longer the path's own.
     apart: bool,
 }
@@ -110,28 +138,96 @@ impl Entry {
         }
     }
 
-    /// A collision at `p`, walk space.
-    pub(super) fn collision(&mut self, p: Vec3, weight: Rgb, ratios: PerTechnique) {
-        self.note(Vertex { p, kind: Kind::Collides, weight }, ratios);
+    /// Weight with which a walk arrives at a collision that it leaves with `weight`.
+    fn before_albedo(&self, weight: Rgb) -> Rgb {
+        let albedo = self.medium.albedo;
+        Rgb::select(albedo.cmpgt(Rgb::ZERO), weight / albedo, Rgb::ZERO)
     }
 
-    /// The end of the walk along `d`, walk space, with a normal there: noted unless collisions before it were not.
-    pub(super) fn exit(&mut self, (p, n): (Vec3, Vec3), d: Vec3, weight: Rgb, ratios: PerTechnique) {
-        let n = if d.dot(n) < 0.0 { -n } else { n };
-        self.note(Vertex { p, kind: Kind::Leaves(n), weight }, ratios);
+    fn note(&mut self, vertex: Vertex) -> bool {
+        let room = self.count < self.most;
+        if room {
+            self.vertices[self.count] = vertex;
+            self.count += 1;
+        }
+        room
+    }
+}
+
+/// Where the walks of a path from its entry to its exit note their vertices.
+pub(super) struct Notes<'a> {
+    entry: &'a mut Entry,
+    rows: &'a mut Vec<Rgb>,
+    /// Weight since the entry over that since the walk's start; 0 in channels that the path did not carry in.
+    scale: Rgb,
+    /// Whether the walk is the first.
+    first: bool,
+}
+
+impl WalkLog {
+    /// Where a walk that starts with the path throughput `throughput` notes its vertices; `first`: of those since the entry.
+    pub(super) fn notes(&mut self, throughput: Rgb, first: bool) -> Option<Notes<'_>> {
+        let (entry, rows) = (self.entry.as_mut()?, &mut self.rows);
+        let scale = Rgb::select(entry.carried(), throughput / entry.throughput, Rgb::ZERO);
+        Some(Notes { entry, rows, scale, first })
+    }
+}
+
+impl Notes<'_> {
+    /// Whether there are vertices to be noted.
+    pub fn has_room(&self) -> bool {
+        self.entry.count < self.entry.most
+    }
+
+    /// A collision at `p`, walk space, before it looks for light `into` what is given.
+    pub fn collision(&mut self, p: Vec3, weight: Rgb, ratios: PerTechnique, into: &Into) {
+        let weight = self.since_entry(weight);
+        let (kind, arrived) = match self.entry.met.take() {
+            Some(arrived) => (Kind::Returns, arrived),
+            None => (Kind::Collides, self.entry.before_albedo(weight)),
+        };
+        self.note(Vertex { p, kind, weight, arrived }, ratios, into);
     }
 
     /// The end of a walk that was never at the boundary: others might have ended there too.
-    pub(super) fn leak(&mut self, p: Vec3, weight: Rgb, ratios: PerTechnique) {
-        self.note(Vertex { p, kind: Kind::Leaks, weight }, ratios);
+    pub fn leak(&mut self, p: Vec3, weight: Rgb, ratios: PerTechnique, into: &Into) {
+        let weight = self.since_entry(weight);
+        if self.entry.met.is_none() {
+            let arrived = self.entry.before_albedo(weight);
+            self.note(Vertex { p, kind: Kind::Leaks, weight, arrived }, ratios, into);
+        }
     }
 
-    fn note(&mut self, vertex: Vertex, ratios: PerTechnique) {
-        if self.count < self.most {
-            let weight = Rgb::select(self.carried(), vertex.weight, Rgb::ZERO);
-            self.vertices[self.count] = Vertex { weight, ..vertex };
-            self.count += 1;
-            self.ratios = ratios;
+    /// The end of the walk along `d`, walk space, with a normal there: noted unless collisions before it were not, or where the boundary
+    /// may reflect it, once it is known what comes of that.
+    pub fn exit(&mut self, (p, n): (Vec3, Vec3), d: Vec3, weight: Rgb, ratios: PerTechnique, into: &Into) {
+        let weight = self.since_entry(weight);
+        if self.entry.from > 0 {
+            self.entry.met.get_or_insert(weight);
+            if self.has_room() {
+                self.control(ratios);
+            }
+            return;
+        }
+        let kind = Kind::Leaves(if d.dot(n) < 0.0 { -n } else { n });
+        self.note(Vertex { p, kind, weight, arrived: weight }, ratios, into);
+    }
+
+    /// A channel that is no longer carried has no weight.
+    fn since_entry(&self, weight: Rgb) -> Rgb {
+        Rgb::select(self.scale.cmpgt(Rgb::ZERO), self.scale * weight, Rgb::ZERO)
+    }
+
+    fn control(&mut self, ratios: PerTechnique) {
+        if self.first {
+            self.entry.ratios = ratios;
+        }
+    }
+
+    fn note(&mut self, vertex: Vertex, ratios: PerTechnique, into: &Into) {
+        if self.entry.note(vertex) {
+            self.rows.extend(brought(into.sample, into.groups, into.lobes));
+            self.control(ratios);
         }
     }
 }
@@ -143,12 +239,18 @@ impl Path<'_> {
     }
 
     /// Notes where the path enters a medium first: one that came straight through air, as those around it did.
-    pub(super) fn note_entry(&mut self, si: &Interaction, start: Start<BoundaryHit>, medium: &GuidedMedium) {
+    pub(super) fn note_entry(
+        &mut self,
+        si: &Interaction,
+        start: Start<BoundaryHit>,
+        medium: &GuidedMedium,
+        boundary: Boundary,
+    ) -> bool {
         let plain = self.inside.is_empty();
-        let Some(log) = self.log.as_mut().filter(|log| plain && log.shares && log.is_empty()) else { return };
-        log.layers.clear();
-        log.layers.extend(self.groups.iter().chain(&*self.lobes));
-        let nowhere = Vertex { p: start.p, kind: Kind::Collides, weight: Rgb::ZERO };
+        let Some(log) = self.log.as_mut().filter(|log| plain && log.shares && log.is_empty()) else { return false };
+        log.rows.clear();
+        log.rows.extend(brought(&self.sample, self.groups, self.lobes));
+        let nowhere = Vertex { p: start.p, kind: Kind::Collides, weight: Rgb::ZERO, arrived: Rgb::ZERO };
         let mut entry = Entry {
             instance: si.instance,
             surface: si.surface,
@@ -160,19 +262,22 @@ impl Path<'_> {
             vertices: [nowhere; MOST],
             count: 0,
             most: 0,
+            met: None,
             // The expectation of each: until a vertex is noted, control variates are for the whole walk.
             ratios: PerTechnique::from_list(&[1.0; TECHNIQUES]),
             correction: Rgb::ZERO,
             expected: Rgb::ZERO,
-            brought: self.sample.subsurface,
+            from: usize::from(boundary != Boundary::Diffuse),
             apart: false,
         };
         entry.most = match entry.across() {
+            across if across <= NARROW => 0,
+            _ if boundary != Boundary::Diffuse => MOST,
             across if across > WIDE => 1,
-            across if across > NARROW => MOST,
-            _ => 0,
+            _ => MOST_DIFFUSE,
         };
         log.entry = Some(entry);
+        true
     }
 
     /// Once the path behind the entry is over: what it brought since is the entry's, no longer its own.
@@ -180,28 +285,41 @@ impl Path<'_> {
         let Some(log) = self.log.as_mut() else { return };
         let Some(entry) = log.entry.as_mut().filter(|entry| !entry.apart) else { return };
         entry.apart = true;
-        let before = entry.brought;
-        entry.brought = self.sample.subsurface - before;
-        self.sample.subsurface = before;
-        for (own, apart) in self.groups.iter_mut().chain(&mut *self.lobes).zip(&mut log.layers) {
-            let before = *apart;
-            *apart = *own - before;
-            *own = before;
+        if let Some(arrived) = entry.met {
+            let end = Vertex { p: entry.start.p, kind: Kind::Meets, weight: Rgb::ZERO, arrived };
+            if entry.note(end) {
+                log.rows.extend(brought(&self.sample, self.groups, self.lobes));
+            }
         }
+        let (rows, width) = (&mut log.rows, 1 + self.groups.len() + self.lobes.len());
+        rows.extend(brought(&self.sample, self.groups, self.lobes));
+        self.sample.subsurface = rows[0];
+        self.groups.iter_mut().chain(&mut *self.lobes).zip(&rows[1..]).for_each(|(own, before)| *own = *before);
+        for i in width..rows.len() {
+            rows[i - width] = rows[i] - rows[i - width];
+        }
+        rows.truncate(rows.len() - width);
     }
 
     /// Whether all that the path brought is.
     pub(super) fn is_finite(&self) -> bool {
-        let entry = self.log.as_ref().and_then(|log| log.entry.as_ref());
-        self.sample.color().is_finite() && entry.is_none_or(|entry| entry.brought.is_finite())
+        let apart = self.log.as_ref().filter(|log| log.entry.is_some());
+        let width = 1 + self.groups.len() + self.lobes.len();
+        self.sample.color().is_finite()
+            && apart.is_none_or(|log| log.rows.iter().step_by(width).all(|brought| brought.is_finite()))
     }
 
     /// Nothing can be said of what the path brought.
     pub(super) fn set_nothing_apart(&mut self) {
         let Some(log) = self.log.as_mut() else { return };
-        log.layers.fill(Rgb::ZERO);
+        log.rows.fill(Rgb::ZERO);
         if let Some(entry) = &mut log.entry {
-            (entry.brought, entry.correction) = (Rgb::ZERO, Rgb::ZERO);
+            entry.correction = Rgb::ZERO;
         }
     }
+}
+
+/// What a path has brought from inside media, then by layer.
+fn brought<'a>(sample: &Sample, groups: &'a [Rgb], lobes: &'a [Rgb]) -> impl Iterator<Item = Rgb> + use<'a> {
+    std::iter::once(sample.subsurface).chain(groups.iter().chain(lobes).copied())
 }

@@ -56,8 +56,9 @@ pub struct WalkLog {
     pub shares: bool,
     /// That of the path under way or just over; to be taken.
     pub entry: Option<Entry>,
-    /// What AOVs of lights, then layers by lobe, show of it.
-    pub layers: Vec<Rgb>,
+    /// What it brought from inside, then what AOVs of lights and layers by lobe show of that: from the entry to the first vertex that
+    /// is noted, from there to the next, and so on. (While it is under way: what it had brought, there.)
+    pub rows: Vec<Rgb>,
     walks: Vec<Logged>,
     exits: Vec<Exited>,
 }

@@ -4,7 +4,7 @@ use super::bent::{Bent, Refracted};
 use super::collision::{Bends, CollisionLight, Into};
 use super::conditional::away;
 use super::direct::Rival;
-use super::entry::Entry;
+use super::entry::Notes;
 use super::leave::Begun;
 use super::nest::Nest;
 use super::rough::{CameFrom, Rough};
@@ -36,6 +36,8 @@ pub(super) struct Passage<'a> {
     pub medium: &'a GuidedMedium,
     /// No boundary was met yet.
     pub first: bool,
+    /// Its walks note their vertices for the pixels around.
+    pub noted: bool,
 }
 
 impl Passage<'_> {
@@ -87,7 +89,7 @@ impl<'a> Path<'a> {
             _ => None,
         };
         let (instance, first) = (si.instance, self.depth == 0);
-        let mut passage = Passage { enclosure, instance, bends, plan, medium, first };
+        let mut passage = Passage { enclosure, instance, bends, plan, medium, first, noted: false };
         let around = match boundary {
             Boundary::IndexMatched => Some(self.crossed(si, coating)?),
             Boundary::Dielectric if passage.bends.is_some() => Some(self.inside),
@@ -103,7 +105,7 @@ impl<'a> Path<'a> {
         }
         let mut start = Start { p, d: wi, normal: si.ng, hit: entry, weight: Rgb::ONE };
         if plan.shares && first {
-            self.note_entry(si, start, medium);
+            passage.noted = self.note_entry(si, start, medium, boundary);
         }
         let mut last = None;
         loop {
@@ -241,7 +243,7 @@ impl<'a> Path<'a> {
             self.begun = None; // that of a body which was passed before
         }
         if !passage.plan.exact {
-            return self.conditional_walk(passage, start, light, sampler);
+            return self.conditional_walk(passage, start, scale * start.weight, light, sampler);
         }
         let kind = passage.plan.walk;
         let guide = self.guide.start(kind, passage.instance, start.p, start.normal);
@@ -253,14 +255,14 @@ impl<'a> Path<'a> {
             let throughput = throughput.max_element();
             self.begun = guide.onward.map(|onward| Begun { onward, throughput, logged: None });
         }
-        if let Some(entry) = self.entry(passage.first) {
+        if let Some(entry) = self.entry(passage.first && passage.noted) {
             entry.know(guide.onward.as_ref());
         }
         let mut visitor: Collisions<'_, LIT> = Collisions {
             passage,
             light,
             cp: kind == Walk::Cp,
-            entry: self.log.as_mut().and_then(|log| log.entry.as_mut()).filter(|_| passage.first),
+            notes: self.log.as_mut().filter(|_| passage.noted).and_then(|log| log.notes(throughput, passage.first)),
             late: None,
             into: Into::new(&mut self.sample, &mut *self.groups, &mut *self.lobes),
             shadow_rays: 0,
@@ -269,14 +271,12 @@ impl<'a> Path<'a> {
         let techniques = guide.techniques;
         let end = walk_mixture(&passage.enclosure, passage.medium, techniques, start, u, sampler, stats, &mut visitor);
         let (late, shadow_rays) = (visitor.late, visitor.shadow_rays);
+        if let (Some(notes), WalkEnd::Boundary { hit, d, .. }) = (&mut visitor.notes, end.end) {
+            let at = (passage.enclosure.point(&hit), passage.enclosure.normal(&hit));
+            notes.exit(at, d, end.densities.weight(), end.densities.ratios(), &visitor.into);
+        }
         self.aim = visitor.into.aim;
         self.stats.shadow_rays += shadow_rays;
-        if let Some(entry) = self.entry(passage.first) {
-            if let WalkEnd::Boundary { hit, d, .. } = end.end {
-                let at = (passage.enclosure.point(&hit), passage.enclosure.normal(&hit));
-                entry.exit(at, d, end.densities.weight(), end.densities.ratios());
-            }
-        }
         if logs {
             let ratios = end.densities.ratios();
             let before = before.color();
@@ -330,7 +330,7 @@ struct Collisions<'a, const LIT: bool> {
     light: Option<CollisionLight<'a>>,
     cp: bool,
     /// Where the first collisions are noted for other pixels.
-    entry: Option<&'a mut Entry>,
+    notes: Option<Notes<'a>>,
     /// The closest point's normal, once known.
     late: Option<Vec3>,
     into: Into<'a>,
@@ -340,19 +340,19 @@ struct Collisions<'a, const LIT: bool> {
 impl<const LIT: bool> Visitor for Collisions<'_, LIT> {
     const AT_COLLISIONS: bool = LIT;
 
-    fn vertices(&self) -> u32 {
-        self.entry.as_ref().map_or(0, |entry| entry.most as u32)
+    fn notes(&self) -> bool {
+        self.notes.as_ref().is_some_and(Notes::has_room)
     }
 
-    fn vertex(&mut self, p: Vec3, densities: &Densities) {
-        if let Some(entry) = &mut self.entry {
-            entry.collision(p, densities.weight(), densities.ratios());
+    fn vertex(&mut self, p: Vec3, densities: &Densities, survived: f32) {
+        if let Some(notes) = &mut self.notes {
+            notes.collision(p, densities.weight() / survived, densities.ratios(), &self.into);
         }
     }
 
     fn leaked(&mut self, p: Vec3, densities: &Densities) {
-        if let Some(entry) = &mut self.entry {
-            entry.leak(p, densities.weight(), densities.ratios());
+        if let Some(notes) = &mut self.notes {
+            notes.leak(p, densities.weight(), densities.ratios(), &self.into);
         }
     }
 

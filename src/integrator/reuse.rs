@@ -6,6 +6,9 @@
 //! "Accelerating path tracing by re-using paths"). The parts of a walk add up to all of it, so that nothing gets brighter than it was. From
 //! the last vertices that are noted back to the entries, light is spread over more and more neighbours. Groups are chosen by where
 //! the x_k are, before anything is known of x, so that each step keeps the expectation of what is behind x_k.
+//!
+//! A dielectric boundary asks where light comes from: nobody shares what is behind it, nor a way by its reflection, but what
+//! is behind the collisions before and after it; what these find of lights themselves is each walk's own.
 
 use super::PathStats;
 use super::entry::{Entry, Kind, Vertex, WIDE};
@@ -19,7 +22,7 @@ const SHOWN: usize = 0;
 const UNLIT: usize = 1;
 const AOVS: usize = 2;
 
-/// Side in pixels of a group of entries whose mean free path is so many pixels: all see much the same, few do, or some.
+/// Side in pixels of a group of paths whose mean free path is so many pixels: all see much the same, few do, or some.
 fn side(across: f32) -> i32 {
     match across {
         _ if across > WIDE => 7,
@@ -29,7 +32,7 @@ fn side(across: f32) -> i32 {
 }
 
 /// Side in mean free paths of the cell of a group of collisions.
-const CELL: f32 = 2.0;
+const CELL: f32 = 4.0;
 
 /// Position errors that an exit is seen from this side of its surface by.
 const MARGIN: f32 = 8.0;
@@ -38,8 +41,10 @@ const MARGIN: f32 = 8.0;
 #[derive(Default)]
 pub struct Shared {
     members: Vec<Member>,
-    /// By member, then by layer.
+    /// By member, then by layer: what is behind the vertices that are under way.
     light: Vec<Rgb>,
+    /// By member, by vertex, then by layer: what it brought there, and since, by itself.
+    own: Vec<Rgb>,
     layers: usize,
     // Scratch memory.
     order: Vec<(Group, usize)>,
@@ -54,9 +59,11 @@ struct Member {
     /// On the image.
     at: [i32; 2],
     entry: Entry,
+    /// Of its part of [`Shared::own`].
+    own: usize,
 }
 
-/// Instance and surface, whose medium is one; size of the group (pixels, or a binary logarithm of a cell's side), place.
+/// Instance and surface, whose medium is one; size of the group (minus pixels, or a binary logarithm of a cell's side), place.
 type Group = ([u32; 2], i32, [i32; 3]);
 
 impl Shared {
@@ -64,16 +71,24 @@ impl Shared {
     pub fn clear(&mut self, aovs: usize) {
         self.members.clear();
         self.light.clear();
+        self.own.clear();
         self.layers = AOVS + aovs;
     }
 
-    /// The path of pixel `pixel` of the tile, `at` on the image, with the AOVs of its light.
-    pub fn push(&mut self, pixel: usize, at: [i32; 2], entry: Entry, aovs: &[Rgb]) {
+    /// The path of pixel `pixel` of the tile, `at` on the image, with what it brought by vertex ([`super::WalkLog::rows`]).
+    pub fn push(&mut self, pixel: usize, at: [i32; 2], entry: Entry, rows: &[Rgb]) {
         let carried = entry.carried();
-        let per_throughput = |light: Rgb| Rgb::select(carried, light / entry.throughput, Rgb::ZERO);
-        self.light.extend([per_throughput(entry.brought) - entry.correction, -entry.correction]);
-        self.light.extend(aovs.iter().map(|light| per_throughput(*light)));
-        self.members.push(Member { pixel, at, entry });
+        let per_throughput = |light: &Rgb| Rgb::select(carried, *light / entry.throughput, Rgb::ZERO);
+        let own = self.own.len();
+        for row in rows.chunks_exact(self.layers - AOVS + 1) {
+            self.own.extend([per_throughput(&row[0]), Rgb::ZERO]);
+            self.own.extend(row[1..].iter().map(per_throughput));
+        }
+        let last = self.own.len() - self.layers;
+        self.own[last + SHOWN] -= entry.correction;
+        self.own[last + UNLIT] -= entry.correction;
+        self.light.resize(self.light.len() + self.layers, Rgb::ZERO);
+        self.members.push(Member { pixel, at, entry, own });
     }
 
     /// Hands the light out: `add` gets the pixel, what it shows, what of it belongs to no light, AOVs. Groups are moved by `shift` in
@@ -86,12 +101,24 @@ impl Shared {
         mut add: impl FnMut(usize, Rgb, Rgb, &[Rgb]),
     ) {
         let most = self.members.iter().map(|member| member.entry.most).max().unwrap_or(0);
-        for stage in (0..most).rev() {
+        for stage in (0..=most).rev() {
             self.stage(scene, stage, shift, stats);
+            self.take_own(stage);
         }
         for (member, row) in self.members.iter().zip(self.light.chunks_exact_mut(self.layers)) {
             row.iter_mut().for_each(|light| *light *= member.entry.throughput);
             add(member.pixel, row[SHOWN], row[UNLIT], &row[AOVS..]);
+        }
+    }
+
+    /// Adds what paths brought by themselves at their vertices `stage`.
+    fn take_own(&mut self, stage: usize) {
+        let Self { members, light, own, layers, .. } = self;
+        for (member, row) in members.iter().zip(light.chunks_exact_mut(*layers)) {
+            if stage <= member.entry.vertices().len() {
+                let own = &own[member.own + stage * *layers..];
+                row.iter_mut().zip(own).for_each(|(light, own)| *light += *own);
+            }
         }
     }
 
@@ -145,7 +172,7 @@ impl Shared {
         let row = &light[j * *layers..(j + 1) * *layers];
         reach.clear();
         for (_, k) in group {
-            stats.shadow_rays += u64::from(*k != j);
+            stats.shadow_rays += u64::from(*k != j && !to.kind.is_own());
             reach.push(members[*k].entry.reach(enclosure, stage, to, *k == j));
         }
         let sum: Rgb = reach.iter().sum();
@@ -160,7 +187,7 @@ impl Shared {
                 let next = &mut next[n * *layers..(n + 1) * *layers];
                 next.iter_mut().zip(row).for_each(|(next, light)| *next += part * *light);
                 // Control variate: the parts of all steps from a vertex weigh as much as the walk did there.
-                let expected = part * members[j].entry.arrived(to) * members[*k].entry.expected;
+                let expected = part * to.arrived * members[*k].entry.expected;
                 next[SHOWN] -= expected;
                 next[UNLIT] -= expected;
             }
@@ -176,16 +203,19 @@ impl Member {
     /// The group of the vertex `stage`, if what is behind it is shared. Of what is behind an exit, nothing is.
     fn group(&self, stage: usize, shift: Vec3) -> Option<Group> {
         let entry = &self.entry;
-        if stage >= entry.most {
+        if stage < entry.from || stage >= entry.most {
             return None;
         }
         let (of, across) = ([entry.instance, entry.surface], entry.across());
-        if stage == 0 {
+        if stage > 0 && !entry.vertices().get(stage - 1)?.kind.scatters() {
+            return None;
+        }
+        if stage == 0 || across > WIDE {
             let side = side(across);
             let place = |at: i32, shift: f32| (at + (shift * side as f32) as i32).div_euclid(side);
-            return Some((of, side, [place(self.at[0], shift.x), place(self.at[1], shift.y), 0]));
+            return Some((of, -side, [place(self.at[0], shift.x), place(self.at[1], shift.y), 0]));
         }
-        let p = entry.vertices().get(stage - 1).filter(|vertex| vertex.kind == Kind::Collides)?.p;
+        let p = entry.vertices()[stage - 1].p;
         // A size that all in the group agree on, though their pixels differ a little.
         let log = (CELL * across * entry.footprint).log2().round();
         let place = (p / log.exp2() + shift).floor().as_ivec3();
@@ -199,17 +229,11 @@ impl Entry {
         if stage == 0 { Rgb::ONE } else { self.vertices()[stage - 1].weight }
     }
 
-    /// Weight with which it arrives at `to`, before a collision takes its part.
-    fn arrived(&self, to: &Vertex) -> Rgb {
-        let albedo = self.medium.albedo;
-        match to.kind {
-            Kind::Leaves(_) => to.weight,
-            _ => Rgb::select(albedo.cmpgt(Rgb::ZERO), to.weight / albedo, Rgb::ZERO),
-        }
-    }
-
     /// A_k F_k of a step from the vertex `stage` to `to`, but for what all steps there have in common; `own`: the walk made it.
     fn reach(&self, enclosure: &InstanceEnclosure, stage: usize, to: &Vertex, own: bool) -> Rgb {
+        if to.kind.is_own() {
+            return if own { Rgb::ONE } else { Rgb::ZERO };
+        }
         let from = if stage == 0 { self.start.p } else { self.vertices()[stage - 1].p };
         let squared = from.distance_squared(to.p);
         let t = squared.sqrt();

@@ -46,7 +46,7 @@ impl Path<'_> {
             bends: None,
             entry: start.normal,
         });
-        let passage = Passage { enclosure, instance, bends: None, plan, medium, first: false };
+        let passage = Passage { enclosure, instance, bends: None, plan, medium, first: false, noted: false };
         let (at, d, scattered) = self.sub_walk(&passage, start, light, sampler)?;
         self.o = passage.enclosure.to_render(start.p);
         if let Some((p, pdf)) = scattered {

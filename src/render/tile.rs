@@ -134,7 +134,7 @@ impl<'a> TilePass<'a> {
             tile.add_walk(pixel, sample.first.depth, &walk);
         }
         if let Some(entry) = self.log.entry.take() {
-            self.shared.push(pixel, at, entry, &self.log.layers);
+            self.shared.push(pixel, at, entry, &self.log.rows);
         }
         self.samples.push(sample);
     }

@@ -26,13 +26,13 @@ pub trait Visitor {
     /// Light is sampled at collisions: the walk then keeps the pdf of the directions that follow.
     const AT_COLLISIONS: bool;
 
-    /// The first collisions of a walk at which [`Self::vertex`] is called.
-    fn vertices(&self) -> u32 {
-        0
+    /// Whether [`Self::vertex`] is to be called: at none but the first collisions, before there is a roulette.
+    fn notes(&self) -> bool {
+        false
     }
 
-    /// Called at those, with the densities of what leads there.
-    fn vertex(&mut self, _p: Vec3, _densities: &Densities) {}
+    /// Called at collisions, with the densities of what leads there, and the probability that roulette lets a walk get there.
+    fn vertex(&mut self, _p: Vec3, _densities: &Densities, _survived: f32) {}
 
     /// Called where a walk ends without having met the boundary.
     fn leaked(&mut self, _p: Vec3, _densities: &Densities) {}
@@ -115,8 +115,8 @@ pub fn walk_mixture<E: Enclosure, V: Visitor>(
                 walk.along = drawn.lane.map(|lane| Frame::from_normal(walk.techniques.normal(lane)));
             }
         }
-        if walk.prefix.collisions <= visitor.vertices() {
-            visitor.vertex(steps.p, &walk.densities(At::Collision));
+        if visitor.notes() {
+            visitor.vertex(steps.p, &walk.densities(At::Collision), walk.survived);
         }
         if walk.prefix.collisions % ROULETTE_EVERY == 0 && !walk.survives(sampler) {
             return walk.end(WalkEnd::Absorbed, At::Collision, stats);
@@ -185,7 +185,7 @@ impl<H: Copy> Walk<'_, H> {
             (phase, self.techniques.direction_pdf(self.medium, &self.prefix, &densities, phase, wi))
         };
         let weight = self.start.weight * densities.weight() / self.survived;
-        visitor.collide(&Collision { p, weight, role: Role::Own, scatter: &scatter }, sampler);
+        visitor.collide(&Collision { p, weight, walked: Some(weight), role: Role::Own, scatter: &scatter }, sampler);
         let wi = self.direction(sampler);
         let (_, pdf) = scatter(wi);
         self.prefix.last = wi;

@@ -18,6 +18,8 @@ pub struct Collision<'a> {
     pub p: Vec3,
     /// Start weight and that of the walk so far, this collision's albedo included.
     pub weight: Rgb,
+    /// With which the walk goes on, if it is at this collision.
+    pub walked: Option<Rgb>,
     pub role: Role,
     /// Phase function towards a direction, and the solid-angle pdf with which the walk goes on along it.
     pub scatter: &'a dyn Fn(Vec3) -> (f32, f32),
@@ -134,7 +136,7 @@ pub fn walk<E: Enclosure>(
             (phase, guided.map_or(phase, |along: Guided| choice.dot(along.pdfs(d, wi))))
         };
         let role = Role::Segment(share);
-        collide(&Collision { p: start.p + t * d, weight, role, scatter: &scatter }, sampler);
+        collide(&Collision { p: start.p + t * d, weight, walked: None, role, scatter: &scatter }, sampler);
     }
 
     for _ in 0..MAX_STEPS {
@@ -182,7 +184,7 @@ pub fn walk<E: Enclosure>(
             Some(share) => (Role::Counted(share), unplayed * share),
             None => (Role::Own, weight),
         };
-        collide(&Collision { p: steps.p, weight: light, role, scatter: &scatter }, sampler);
+        collide(&Collision { p: steps.p, weight: light, walked: Some(weight), role, scatter: &scatter }, sampler);
         let wi = match guided {
             Some(along) => along.kernels[channel].sample(&along.frame, d, sampler),
             None => phase_sample(medium.g, d, sampler.step_2d()),

@@ -55,7 +55,7 @@ impl Bench<'_> {
     fn looks(&self, count: usize, sampler: &mut Sampler) -> Sums {
         let mut sums = Sums::default();
         let scatter = |d: Vec3| (self.phase(d), f32::NAN);
-        let collision = Collision { p: self.x, weight: Rgb::ONE, role: Role::Own, scatter: &scatter };
+        let collision = Collision { p: self.x, weight: Rgb::ONE, walked: None, role: Role::Own, scatter: &scatter };
         for _ in 0..count {
             let mut sample = Sample::BLACK;
             let mut into = Into::new(&mut sample, &mut [], &mut []);

@@ -43,7 +43,7 @@ fn connections_have_their_density() {
         let to = CollisionLight::alone(moment);
         let (mut sampler, phase) = (Sampler::new(12, 0, 0), 0.25 / PI);
         let scatter = |_: Vec3| (phase, f32::NAN);
-        let collision = Collision { p: x, weight: Rgb::ONE, role: Role::Own, scatter: &scatter };
+        let collision = Collision { p: x, weight: Rgb::ONE, walked: None, role: Role::Own, scatter: &scatter };
         let connected = mean_of(COUNT, || {
             let mut sample = Sample::BLACK;
             let mut into = Into::new(&mut sample, &mut [], &mut []);
