@@ -31,8 +31,11 @@ fn side(across: f32) -> i32 {
     }
 }
 
-/// Side in mean free paths of the cell of a group of collisions.
-const CELL: f32 = 4.0;
+/// Side in pixels of the cell of a group of collisions: four mean free paths, two where that would be many pixels, since each
+/// is asked for each other's way.
+fn cell(across: f32) -> f32 {
+    (4.0 * across).min(6.0).max(2.0 * across)
+}
 
 /// Position errors that an exit is seen from this side of its surface by.
 const MARGIN: f32 = 8.0;
@@ -217,7 +220,7 @@ impl Member {
         }
         let p = entry.vertices()[stage - 1].p;
         // A size that all in the group agree on, though their pixels differ a little.
-        let log = (CELL * across * entry.footprint).log2().round();
+        let log = (cell(across) * entry.footprint).log2().round();
         let place = (p / log.exp2() + shift).floor().as_ivec3();
         Some((of, log as i32, place.to_array()))
     }

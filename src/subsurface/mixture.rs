@@ -26,12 +26,12 @@ pub trait Visitor {
     /// Light is sampled at collisions: the walk then keeps the pdf of the directions that follow.
     const AT_COLLISIONS: bool;
 
-    /// Whether [`Self::vertex`] is to be called: at none but the first collisions, before there is a roulette.
+    /// Whether [`Self::vertex`] is to be called at the collision.
     fn notes(&self) -> bool {
         false
     }
 
-    /// Called at collisions, with the densities of what leads there, and the probability that roulette lets a walk get there.
+    /// With the densities of what leads there, and the probability that roulette lets a walk get there.
     fn vertex(&mut self, _p: Vec3, _densities: &Densities, _survived: f32) {}
 
     /// Called where a walk ends without having met the boundary.
