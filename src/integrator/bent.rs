@@ -29,7 +29,8 @@ use glam::{Vec2, Vec3};
 /// `bunny_smooth` (docs/performance.md, "Smooth dielectrics").
 const LOOKS: f32 = 1.2;
 
-/// Times as many of the first collision: what is behind it comes from more walks than one, where pixels share it.
+/// Times as many of the one that stands for the first segment from a boundary: where pixels share paths, what is behind it comes
+/// from more walks than one, what it finds does not.
 const FIRST: f32 = 2.0;
 
 /// Most looks of another collision.

@@ -68,7 +68,8 @@ impl Path<'_> {
         let mut notes =
             self.log.as_mut().filter(|_| passage.noted).and_then(|log| log.notes(throughput, passage.first));
         let collide = |collision: &Collision, sampler: &mut Sampler| {
-            if let (Some(notes), Some(weight)) = (&mut notes, collision.walked) {
+            let notes = notes.as_mut().filter(|notes| notes.has_room());
+            if let (Some(notes), Some(weight)) = (notes, collision.walked) {
                 notes.collision(collision.p, weight / start.weight, PerTechnique::default(), &into);
             }
             let looks =

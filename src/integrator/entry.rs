@@ -49,18 +49,6 @@ pub(super) enum Kind {
     Leaks,
 }
 
-/// A vertex of a walk.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Vertex {
-    /// Walk space.
-    pub p: Vec3,
-    pub kind: Kind,
-    /// f / pdf of what leads there from the entry, the albedo of a collision included.
-    pub weight: Rgb,
-    /// The same of the step to it, however that ended: of a collision before its albedo, at the boundary before it reflects.
-    pub arrived: Rgb,
-}
-
 impl Kind {
     /// Whether it is scattered there.
     pub fn scatters(self) -> bool {
@@ -73,7 +61,19 @@ impl Kind {
     }
 }
 
-/// Where a camera path entered a medium, and the first vertices of its walk there.
+/// A vertex of a walk.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Vertex {
+    /// Walk space.
+    pub p: Vec3,
+    pub kind: Kind,
+    /// f / pdf of what leads there from the entry, the albedo of a collision included.
+    pub weight: Rgb,
+    /// The same of the step to it, however that ended: of a collision before its albedo, at the boundary before it reflects.
+    pub arrived: Rgb,
+}
+
+/// Where a camera path entered a medium, and the first vertices of its walks there.
 #[derive(Debug, Clone, Copy)]
 pub struct Entry {
     pub(super) instance: u32,

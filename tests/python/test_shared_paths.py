@@ -92,6 +92,14 @@ def bulb():
     return light("sphere", move(2.0, 2.5, -3.0), 20.0, radius=0.8)
 
 
+GLASSY = {
+    "smooth": lambda: glassy(0.0, bulb()),
+    "rough": lambda: glassy(0.5, bulb()),
+    "smooth in the sun": lambda: glassy(
+        0.0, light("distant", turn(1, 50.0), 30.0, angle=5.0), radius=(0.1, 0.05, 0.03)
+    ),
+}
+
 SCENES = {
     "skin": lambda: wax((0.99, 0.9, 0.8), (0.2, 0.08, 0.04)),
     "clear": lambda: wax((0.95, 0.9, 0.7), 1.5),
@@ -104,11 +112,7 @@ SCENES = {
     "gel": lambda: behind("gel"),
     "fluid": lambda: behind("fluid"),
     "fog": behind_fog,
-    "smooth": lambda: glassy(0.0, bulb()),
-    "rough": lambda: glassy(0.5, bulb()),
-    "smooth in the sun": lambda: glassy(
-        0.0, light("distant", turn(1, 50.0), 30.0, angle=5.0), radius=(0.1, 0.05, 0.03)
-    ),
+    **GLASSY,
 }
 
 
@@ -159,7 +163,9 @@ def test_means_are_those_of_paths_that_nobody_shares(scene, walk):
     # 84 numbers: 4.5 is exceeded once in 200 runs.
     assert np.abs(z(plain, shared)).max() < 4.5
     error = np.hypot(plain.std(0, ddof=1), shared.std(0, ddof=1)) / len(shared) ** 0.5 / plain.mean(0)
-    assert error.min() < 0.03, "14 % would not be seen"
+    # What a smooth boundary refracts is noisier, in some channels.
+    seen, bound = (error.min(), 0.03) if scene in GLASSY else (error[0], 0.02)
+    assert seen < bound, f"{4.5 * bound:.0%} would not be seen"
 
 
 def test_a_furnace_stays_white():
