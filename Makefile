@@ -81,7 +81,7 @@ format: $(TEST_INSTALLED)
 	$(BIN)/ruff format .
 
 $(BIN)/python:
-	@command -v cargo >/dev/null || { echo "cargo not found: install Rust 1.85 or newer (https://rustup.rs)" >&2; exit 1; }
+	@command -v cargo >/dev/null || { echo "cargo not found: install Rust 1.89 or newer (https://rustup.rs)" >&2; exit 1; }
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || \
 	    { echo "$(PYTHON) is not Python 3.10 or newer; name one: make PYTHON=python3.12 $(MAKECMDGOALS)" >&2; exit 1; }
 	@$(PYTHON) -c 'import venv, ensurepip' || \

@@ -96,7 +96,7 @@ impl Digest {
     fn byte(&mut self, byte: u8) {
         self.pending = self.pending << 8 | u64::from(byte);
         self.length += 1;
-        if self.length % 8 == 0 {
+        if self.length.is_multiple_of(8) {
             let word = std::mem::take(&mut self.pending);
             self.word(word);
         }

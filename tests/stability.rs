@@ -137,7 +137,7 @@ fn exact_in_f64(medium: &GuidedMedium, techniques: &Techniques, segments: &[Segm
         }
         product.pass(segment.d, f64::from(segment.drawn));
         product.collide(segment.d);
-        if product.collisions % 16 == 0 {
+        if product.collisions.is_multiple_of(16) {
             let survival = product.weight().max_element() / survived / f64::from(0.1_f32);
             survived *= survival.min(1.0);
         }

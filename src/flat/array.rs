@@ -108,7 +108,7 @@ impl<T: Element> Array<T> {
     /// # Panics
     /// Where they are not inside of the map.
     pub fn mapped(map: Arc<Mmap>, offset: usize, len: usize) -> Self {
-        assert!(offset % 64 == 0 && offset + len * size_of::<T>() <= map.len());
+        assert!(offset.is_multiple_of(64) && offset + len * size_of::<T>() <= map.len());
         Self(Storage::Mapped { map, offset, len })
     }
 
@@ -244,7 +244,7 @@ fn lent<T: Element>(memory: Arc<Lent>) -> std::result::Result<Array<T>, String> 
     if bytemuck::try_cast_slice::<u8, T>(bytes).is_ok() {
         return Ok(Array(Storage::Lent(memory)));
     }
-    if bytes.len() % size_of::<T>() != 0 {
+    if !bytes.len().is_multiple_of(size_of::<T>()) {
         return Err(format!("array of {} bytes where elements have {}", bytes.len(), size_of::<T>()));
     }
     let values: Vec<T> = bytes.chunks_exact(size_of::<T>()).map(bytemuck::pod_read_unaligned).collect();

@@ -55,7 +55,7 @@ fn credits(sums: &Sums) -> [f64; TECHNIQUES] {
 
 /// Shares that sum to 1, none of those drawn before below its floor.
 fn floored(learned: [f64; TECHNIQUES], before: &[f32; TECHNIQUES], classical: f64) -> [f32; TECHNIQUES] {
-    let is_classical = |t: usize| t % (LANES + 1) == 0;
+    let is_classical = |t: usize| t.is_multiple_of(LANES + 1);
     let floor = |t: usize| match before[t] > 0.0 {
         true if is_classical(t) => CHANNEL_FLOOR.min(classical / 3.0),
         true => FLOOR,

@@ -194,10 +194,10 @@ fn wrapped(i: i64, n: usize, wrap: Wrap) -> Option<usize> {
 pub fn build_images(images: &Prims<flat::Image>, cache: &mut ImageCache) {
     cache.retain(|key, _| images.contains_key(key));
     for (key, image) in images {
-        if !cache.contains_key(key) {
-            if let Some(image) = Image::compile(image) {
-                cache.insert(key.clone(), Arc::new(image));
-            }
+        if !cache.contains_key(key)
+            && let Some(image) = Image::compile(image)
+        {
+            cache.insert(key.clone(), Arc::new(image));
         }
     }
 }

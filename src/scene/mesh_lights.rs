@@ -35,10 +35,10 @@ pub(super) fn compile_lights(
             warnings.push(Warning::new(paths[instance.prim_id as usize], message));
             instance.moves = None;
         }
-        if instance.moves.is_some() {
-            if let Some(kept) = lights.kept_size(light, &instance.to_render) {
-                instance.moves = Some(Box::new(kept));
-            }
+        if instance.moves.is_some()
+            && let Some(kept) = lights.kept_size(light, &instance.to_render)
+        {
+            instance.moves = Some(Box::new(kept));
         }
         *first += instance.geometry.triangles.len() as u32;
     }

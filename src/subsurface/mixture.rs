@@ -109,16 +109,16 @@ pub fn walk_mixture<E: Enclosure, V: Visitor>(
             Step::Collision => walk.travel(t),
         }
         walk.prefix.collisions += 1;
-        if walk.prefix.collisions == 1 {
-            if let Some(normal) = visitor.late_normal(steps.p) {
-                walk.techniques.set_normal(0, normal);
-                walk.along = drawn.lane.map(|lane| Frame::from_normal(walk.techniques.normal(lane)));
-            }
+        if walk.prefix.collisions == 1
+            && let Some(normal) = visitor.late_normal(steps.p)
+        {
+            walk.techniques.set_normal(0, normal);
+            walk.along = drawn.lane.map(|lane| Frame::from_normal(walk.techniques.normal(lane)));
         }
         if visitor.notes() {
             visitor.vertex(steps.p, &walk.densities(At::Collision), walk.survived);
         }
-        if walk.prefix.collisions % ROULETTE_EVERY == 0 && !walk.survives(sampler) {
+        if walk.prefix.collisions.is_multiple_of(ROULETTE_EVERY) && !walk.survives(sampler) {
             return walk.end(WalkEnd::Absorbed, At::Collision, stats);
         }
         let pdf = if V::AT_COLLISIONS && visitor.looks(steps.p, sampler) {

@@ -18,10 +18,10 @@ pub fn crowd(count: usize, sizes: [f32; 2], seed: u32) -> Vec<flat::Light> {
         let size = 10.0_f32.powf(sizes[0] + (sizes[1] - sizes[0]) * random.next());
         let t = Vec3::new(random.next(), random.next(), random.next()) * 10.0 - 5.0;
         let cone_angle = 5.0 + 115.0 * random.next();
-        let focus = if i % 2 == 0 { 3.0 } else { 0.0 };
+        let focus = if i.is_multiple_of(2) { 3.0 } else { 0.0 };
         let shaping = Shaping { cone_angle, cone_softness: random.next(), focus, ..Default::default() };
         flat::Light {
-            shaping: (i % 3 == 0).then_some(shaping),
+            shaping: i.is_multiple_of(3).then_some(shaping),
             intensity: 1e-2 + random.next() / (size * size),
             ..light(area_shapes()[i % 4].clone(), turned(&mut random, size, t))
         }

@@ -156,6 +156,9 @@ impl Tree {
             // SAFETY: `isa` is Avx2 only where the processor has them.
             #[cfg(target_arch = "x86_64")]
             Isa::Avx2 => unsafe { self.walk_avx2(ray, visitor) },
+            // SAFETY: `isa` is Avx512 only where the processor has them.
+            #[cfg(target_arch = "x86_64")]
+            Isa::Avx512 => unsafe { self.walk_avx512(ray, visitor) },
         }
     }
 
@@ -164,6 +167,14 @@ impl Tree {
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2,bmi1,bmi2")]
     unsafe fn walk_avx2<V: Visitor>(&self, ray: &Ray, visitor: V) -> V {
+        self.walk_lanes::<super::lanes::Avx2, V>(ray, visitor)
+    }
+
+    /// # Safety
+    /// The processor must have AVX-512 with VL, BW and DQ, BMI1 and BMI2.
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx512f,avx512vl,avx512bw,avx512dq,bmi1,bmi2")]
+    unsafe fn walk_avx512<V: Visitor>(&self, ray: &Ray, visitor: V) -> V {
         self.walk_lanes::<super::lanes::Avx2, V>(ray, visitor)
     }
 

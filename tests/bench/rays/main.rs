@@ -42,7 +42,7 @@ struct Arguments {
 
 impl Arguments {
     fn parse() -> Result<Self, String> {
-        let mut parsed = Self { embree: None, passes: 7, only: None, scenes: Vec::new() };
+        let mut parsed = Self { embree: None, passes: 20, only: None, scenes: Vec::new() };
         let mut arguments = std::env::args().skip(1);
         while let Some(argument) = arguments.next() {
             let mut value = || arguments.next().ok_or_else(|| format!("{argument}: a value is missing"));
