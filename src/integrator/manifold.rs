@@ -89,6 +89,11 @@ impl<'a> Window<'a> {
         self.cast(x, v, v)
     }
 
+    /// The same, if it is within `reach`.
+    pub fn start_within(&self, x: Vec3, v: Vec3, reach: f32) -> Option<Crossing> {
+        self.cast_within(x, v, v, reach)
+    }
+
     /// The boundary in the direction `corner` of three that lie about that of `straight`: on bumps another start may find
     /// another way.
     pub fn start_beside(&self, x: Vec3, straight: &Crossing, corner: usize) -> Option<Crossing> {
@@ -153,7 +158,11 @@ impl<'a> Window<'a> {
     }
 
     fn cast(&self, x: Vec3, d: Vec3, v: Vec3) -> Option<Crossing> {
-        let hit = self.scene.boundary_from_within(self.instance, x, d, f32::INFINITY)?;
+        self.cast_within(x, d, v, f32::INFINITY)
+    }
+
+    fn cast_within(&self, x: Vec3, d: Vec3, v: Vec3, reach: f32) -> Option<Crossing> {
+        let hit = self.scene.boundary_from_within(self.instance, x, d, reach)?;
         let instance = &self.scene.instances[self.instance as usize];
         let (geometry, m) = (&instance.geometry, &*self.scene.placed(self.instance));
         let at = |corners: [Vec3; 3]| corners[0] * (1.0 - hit.u - hit.v) + corners[1] * hit.u + corners[2] * hit.v;

@@ -19,13 +19,13 @@ use crate::scene::{InstanceEnclosure, Moment};
 use crate::subsurface::walk::Collision;
 use glam::{Vec2, Vec3};
 
-/// Share of the collisions that try to connect at all: a connection costs as much as ten steps of the walk. A flat optimum,
-/// as the next (docs/performance.md, "Smooth dielectrics").
-const TRIED: f32 = 0.25;
+/// Share of the collisions that search: this times what the medium passes to the plane where the straight way leaves. On a flat
+/// face no bent way is shorter, so that none is worth much more than its chance, however grazing the sun. A search costs as much as
+/// ten steps of the walk. A flat optimum (docs/performance.md, "Smooth dielectrics").
+const SEARCHED: f32 = 0.1;
 
-/// Of those tried, the share that goes on to search: this times what the medium passes to the plane where the straight way
-/// leaves. On a flat face no bent way is shorter, so that none is worth much more than its chance, however grazing the sun.
-const SEARCHED: f32 = 0.4;
+/// Cosine of the most grazing straight way: one that is more so counts as deeper, and how far to look for the boundary has a bound.
+const GRAZING: f32 = 0.02;
 
 /// Searches for one direction, from as many starts.
 const SEARCHES: usize = 4;
@@ -76,20 +76,30 @@ impl<'a> Suns<'a> {
 
     /// Whether the collision at `x` searches, and for what, by what is known without its weight.
     pub fn search(&self, enclosure: &InstanceEnclosure, x: Vec3, sampler: &mut Sampler) -> Option<Search> {
-        (sampler.random() < TRIED).then_some(())?;
+        // Drawn first: for most there is nothing more to do, and for the others the boundary must be near.
+        let u = sampler.random();
+        let reach = self.reach(u)?;
         let (lights, p) = (self.lights(), enclosure.to_render(x));
         let (light, chosen) = lights.draws(p, None, Choice::ONE).choose(sampler.random())?;
         (lights.is_same_everywhere(light) && self.scene.illuminates(light, self.instance)).then_some(())?;
         let sun = lights.sample_light(light, p, None, Vec2::new(sampler.random(), sampler.random()))?;
         (sun.delta || sun.pdf >= SUN_PDF).then_some(())?;
-        let straight = self.window.start(x, sun.wi)?;
+        let straight = self.window.start_within(x, sun.wi, reach)?;
         let searched = self.searched(&straight);
-        (sampler.random() < searched).then_some(Search { sun, straight, expected: TRIED * searched * chosen })
+        (u < searched).then_some(Search { sun, straight, expected: searched * chosen })
     }
 
+    /// Share of the collisions that search where this is their straight way.
     fn searched(&self, straight: &Crossing) -> f32 {
-        let depth = straight.t * straight.d.dot(straight.frame.n).abs();
-        (SEARCHED * mean(self.medium.transmittance(depth))).min(1.0)
+        let depth = straight.t * straight.d.dot(straight.frame.n).abs().max(GRAZING);
+        SEARCHED * mean(self.medium.transmittance(depth))
+    }
+
+    /// Distance beyond which [`Self::searched`] is below `u`; `None` if it is anywhere.
+    fn reach(&self, u: f32) -> Option<f32> {
+        // The clearest channel passes no less than the mean; 0 / 0, without extinction, is as far as any.
+        let reach = (SEARCHED / u).ln() / (GRAZING * self.medium.sigma_t.min_element());
+        (u < SEARCHED).then_some(if reach.is_nan() { f32::INFINITY } else { reach })
     }
 
     /// The ways from `x` that a search finds, each once.
@@ -128,7 +138,7 @@ impl<'a> Suns<'a> {
         let Some(straight) = self.window.start(way.x, v) else { return 1.0 };
         let Some(at) = self.found(way.x, &straight).find(|at| self.window.is_at(at, way.p)) else { return 1.0 };
         let chosen = self.lights().choice_probability(light, enclosure.to_render(way.x), None, Choice::ONE);
-        let density = TRIED * self.searched(&straight) * chosen * pdf / self.window.spread(&at);
+        let density = self.searched(&straight) * chosen * pdf / self.window.spread(&at);
         power_heuristic(by_chance(&self.medium, (way.p - way.x).length()), density)
     }
 }
