@@ -31,6 +31,10 @@ impl DataWindow {
         self.y1.abs_diff(self.y0)
     }
 
+    pub fn contains(&self, x: i32, y: i32) -> bool {
+        (self.x0..self.x1).contains(&x) && (self.y0..self.y1).contains(&y)
+    }
+
     /// Pixels whose centres lie in the NDC window (y up), as CameraUtilFraming does; at least one pixel.
     pub fn from_ndc(resolution: [u32; 2], ndc: [f32; 4]) -> Self {
         let pixel = |x: f32, n: u32| (x * n as f32 - 0.5).ceil() as i32;

@@ -5,6 +5,7 @@ mod lobes;
 mod planes;
 mod sample;
 mod saved;
+mod spread;
 mod walks;
 
 pub use lobes::Lobe;
@@ -19,6 +20,7 @@ use crate::math::Rgb;
 use cryptomatte::ObjectSums;
 use glam::{DVec3, Vec2, Vec3};
 use lobes::LobeSums;
+use spread::Spread;
 use std::sync::Mutex;
 use walks::WalkSums;
 
@@ -73,7 +75,7 @@ impl Planes {
 }
 
 /// A block of pixels with its sums; planes that nobody asked for are empty.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub struct Tile {
     pub x0: i32,
     pub y0: i32,
@@ -95,6 +97,8 @@ pub struct Tile {
     /// Per pixel, of each AOV of lights.
     lights: Vec<Rgb>,
     lobes: Vec<LobeSums>,
+    /// `None`: samples are their own pixel's alone.
+    spread: Option<Spread>,
 }
 
 impl Tile {
@@ -120,6 +124,7 @@ impl Tile {
             primvars: vec![Vec3::ZERO; n * planes.primvars],
             lights: vec![Rgb::ZERO; n * planes.lights],
             lobes: vec![[Rgb::ZERO; LOBE_AOVS.len()]; on(planes.lobes)],
+            spread: None,
         }
     }
 
@@ -210,10 +215,10 @@ impl Tile {
     }
 }
 
-/// Asks for the film's memory once, whole, so that an image that is too large is an error and not an abort.
-fn check_memory(data_window: DataWindow, planes: Planes) -> Result<()> {
+/// Bytes of a pixel.
+fn bytes_of(planes: Planes) -> usize {
     let on = |wanted: bool, bytes: usize| if wanted { bytes } else { 0 };
-    let per_pixel = size_of::<DVec3>()
+    size_of::<DVec3>()
         + 2 * size_of::<f32>()
         + on(planes.variance, size_of::<DVec3>())
         + on(planes.buckets, size_of::<[Rgb; 3]>())
@@ -225,7 +230,11 @@ fn check_memory(data_window: DataWindow, planes: Planes) -> Result<()> {
         + on(planes.objects, size_of::<ObjectSums>())
         + planes.primvars * size_of::<Vec3>()
         + planes.lights * size_of::<Rgb>()
-        + on(planes.lobes, size_of::<LobeSums>());
+        + on(planes.lobes, size_of::<LobeSums>())
+}
+
+/// Asks for a film's memory once, whole, so that an image that is too large is an error and not an abort.
+fn check_memory(data_window: DataWindow, per_pixel: usize) -> Result<()> {
     let (width, height) = (data_window.width(), data_window.height());
     let bytes = width as usize * height as usize * per_pixel;
     Vec::<u8>::new().try_reserve_exact(bytes).map_err(|_| {
@@ -269,7 +278,7 @@ impl Film {
     pub fn new(data_window: DataWindow, aovs: &[String], noise: bool, exposure: f32) -> Result<Self> {
         let mut planes = Planes::from_names(aovs);
         planes.variance |= noise;
-        check_memory(data_window, planes)?;
+        check_memory(data_window, bytes_of(planes))?;
         let mut tiles = Vec::new();
         for y0 in (data_window.y0..data_window.y1).step_by(TILE as usize) {
             for x0 in (data_window.x0..data_window.x1).step_by(TILE as usize) {

@@ -23,6 +23,15 @@ pub const MOTION: &str = "motionVector";
 impl Film {
     /// RGBA, premultiplied.
     pub fn color(&self) -> Plane {
+        self.gathered().as_ref().unwrap_or(self).own_color()
+    }
+
+    /// The image so far: `color` (RGBA, premultiplied) first, then the planes asked for.
+    pub fn resolve(&self) -> Vec<Plane> {
+        self.gathered().as_ref().unwrap_or(self).resolve_own()
+    }
+
+    fn own_color(&self) -> Plane {
         self.plane("color", 4, |t, i| {
             let n = f64::from(t.samples[i].max(1));
             let c = t.color[i] / n * f64::from(self.exposure);
@@ -30,9 +39,9 @@ impl Film {
         })
     }
 
-    /// The image so far: `color` (RGBA, premultiplied) first, then the planes asked for.
-    pub fn resolve(&self) -> Vec<Plane> {
-        let mut planes = vec![self.color()];
+    /// Of the sums that each pixel has.
+    fn resolve_own(&self) -> Vec<Plane> {
+        let mut planes = vec![self.own_color()];
         planes.push(self.plane("alpha", 1, |t, i| [t.alpha[i] / t.samples[i].max(1) as f32, 0.0, 0.0, 0.0]));
         let rgb = |c: Rgb| [c.x, c.y, c.z, 0.0];
         let mean = |t: &Tile, i: usize, c: Rgb| c / t.samples[i].max(1) as f32;

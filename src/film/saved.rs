@@ -34,7 +34,8 @@ impl Tile {
         to.array(&self.objects)?;
         to.array(&self.primvars)?;
         to.array(&self.lights)?;
-        to.array(&self.lobes)
+        to.array(&self.lobes)?;
+        to.array(self.spread.as_ref().map_or(&[], |spread| &spread.sums))
     }
 
     fn load(&mut self, from: &mut Loader) -> io::Result<()> {
@@ -51,6 +52,7 @@ impl Tile {
         from.array(&mut self.objects)?;
         from.array(&mut self.primvars)?;
         from.array(&mut self.lights)?;
-        from.array(&mut self.lobes)
+        from.array(&mut self.lobes)?;
+        from.array(self.spread.as_mut().map_or(&mut [], |spread| &mut spread.sums))
     }
 }

@@ -141,6 +141,8 @@ pub struct RenderSettings {
     /// Pixels have a part in the paths of their neighbours through a medium with a diffuse boundary: `on`, `off`, or `auto`: with
     /// [`Self::walk`] `auto`.
     pub shared_paths: String,
+    /// `importance`: a sample is its own pixel's alone; `weighted`: of all pixels under whose filter it lies.
+    pub pixel_filter_mode: String,
     /// What fills the boundary cache: `surface` (uniform samples) or `camera` (walks of camera paths).
     pub cache_fill: String,
     /// Cells of the boundary cache along the longest side of an object; 0: by mean free path and pixel size.
@@ -190,6 +192,7 @@ impl Default for RenderSettings {
             refracted_light: "auto".into(),
             guide_exits: true,
             shared_paths: "auto".into(),
+            pixel_filter_mode: "importance".into(),
             cache_fill: "surface".into(),
             cache_resolution: 0,
             subsurface_boundary: "auto".into(),

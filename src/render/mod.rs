@@ -135,7 +135,8 @@ impl Progress {
 /// The film that `render` fills.
 pub fn film_for(scene: &Scene, settings: &RenderSettings) -> Result<Film> {
     let film = Film::new(scene.camera.data_window, &settings.aovs, false, scene.camera.exposure)?;
-    Ok(film.seen_by(scene.camera.view()))
+    let film = film.seen_by(scene.camera.view());
+    if settings.pixel_filter_mode == "weighted" { film.spreading() } else { Ok(film) }
 }
 
 /// Renders samples `sample_offset..sample_offset + samples` into `film`, or as many per tile as pilot samples say where

@@ -27,6 +27,8 @@ pub(super) struct TilePass<'a> {
     log: WalkLog,
     /// By pixel, of the sample under way.
     samples: Vec<Sample>,
+    /// Where it is in its pixel, from the centre.
+    offsets: Vec<Vec2>,
     /// By pixel, then by AOV of lights.
     lights: Layers,
     /// By pixel, then by lobe.
@@ -81,6 +83,7 @@ impl<'a> TilePass<'a> {
             stats: PathStats::default(),
             log,
             samples: Vec::with_capacity(pixels),
+            offsets: Vec::with_capacity(pixels),
             lights,
             lobes,
             shared: Shared::default(),
@@ -97,6 +100,7 @@ impl<'a> TilePass<'a> {
     /// The sample of this number of all pixels.
     fn sample(&mut self, number: u32) {
         self.samples.clear();
+        self.offsets.clear();
         self.shared.clear(self.lights.each + self.lobes.each);
         for pixel in 0..(self.tile.width * self.tile.height) as usize {
             self.trace(pixel, number);
@@ -106,6 +110,8 @@ impl<'a> TilePass<'a> {
         }
         for (pixel, sample) in self.samples.iter().enumerate() {
             self.tile.add(pixel, sample);
+            let (lights, lobes) = (self.lights.of(pixel), self.lobes.of(pixel));
+            self.tile.spread(pixel, self.offsets[pixel], sample, lights, lobes);
             self.tile.add_lights(pixel, self.lights.of(pixel));
             self.tile.add_lobes(pixel, self.lobes.of(pixel));
         }
@@ -118,7 +124,9 @@ impl<'a> TilePass<'a> {
         let mut sampler = Sampler::new(self.seed, scene.camera.pixel_number(at[0], at[1]), number);
         let u_filter = sampler.next_2d();
         let u_lens = if scene.camera.has_depth_of_field() { sampler.next_2d() } else { sampler.skip_2d() };
-        let raster = Vec2::new(at[0] as f32 + 0.5 + tent(u_filter.x), at[1] as f32 + 0.5 + tent(u_filter.y));
+        let offset = Vec2::new(tent(u_filter.x), tent(u_filter.y));
+        self.offsets.push(offset);
+        let raster = Vec2::new(at[0] as f32 + 0.5, at[1] as f32 + 0.5) + offset;
         let time = scene.frozen.unwrap_or_else(|| sampler.time());
         let ray = scene.camera.ray(raster, u_lens, time);
         let (lights, lobes) = (self.lights.of(pixel), self.lobes.of(pixel));

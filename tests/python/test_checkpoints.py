@@ -51,18 +51,25 @@ def wait_for(file: Path, child, seconds: float = 60.0) -> None:
 
 
 @pytest.mark.parametrize(
-    ("walk", "noise"),
-    [("classical", ()), ("mixture", ()), ("bono", ()), ("mixture", ("--noiseThreshold", "0.02"))],
-    ids=["classical", "mixture", "bono", "adaptive"],
+    ("walk", "more"),
+    [
+        ("classical", ()),
+        ("mixture", ()),
+        ("bono", ()),
+        ("mixture", ("--noiseThreshold", "0.02")),
+        ("mixture", ("--set", "pixelFilterMode=weighted")),
+    ],
+    ids=["classical", "mixture", "bono", "adaptive", "weighted"],
 )
-def test_killed_and_resumed_is_the_uninterrupted_image(wax, tmp_path, walk, noise):
+def test_killed_and_resumed_is_the_uninterrupted_image(wax, tmp_path, walk, more):
     """kill -9 three times in a row, whatever tile or pass is under way."""
-    flags = ("-w", "40", "--samples", "80", "--walk", walk, "--threads", "2", *noise)
+    flags = ("-w", "40", "--samples", "80", "--walk", walk, "--threads", "2", *more)
     aovs = [word for aov in KEPT for word in ("--aov", aov)]
     assert run("record", wax, tmp_path / "whole.exr", *flags, *aovs) == 0
     out, keep = tmp_path / "a.exr", tmp_path / "a.exr.checkpoint"
     # (pilot, samples done): after something was learned, in the middle of a pass.
-    for least in [(True, 3), (False, 3), (False, 15)] if noise else [(False, 3), (False, 7), (False, 31)]:
+    pilot = "--noiseThreshold" in more
+    for least in [(True, 3), (False, 3), (False, 15)] if pilot else [(False, 3), (False, 7), (False, 31)]:
         child = start("record", wax, out, *flags, *aovs, "--checkpoint", "0.02", "--resume")
         while child.poll() is None and not is_past(keep, *least):
             time.sleep(0.001)

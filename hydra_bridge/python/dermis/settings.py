@@ -37,6 +37,7 @@ DERMIS_SETTINGS: dict[str, Any] = {
     "refractedLight": "auto",
     "guideExits": True,
     "sharedPaths": "auto",
+    "pixelFilterMode": "importance",
     "cacheFill": "surface",
     "cacheResolution": 0,
     "subsurfaceBoundary": "auto",

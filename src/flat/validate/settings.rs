@@ -95,6 +95,7 @@ impl RenderSettings {
         check_token("exitLights", &self.exit_lights, &["auto", "one", "all", "learned"])?;
         check_token("refractedLight", &self.refracted_light, &["auto", "on", "off"])?;
         check_token("sharedPaths", &self.shared_paths, &["auto", "on", "off"])?;
+        check_token("pixelFilterMode", &self.pixel_filter_mode, &["importance", "weighted"])?;
         check_token("cacheFill", &self.cache_fill, &["surface", "camera"])?;
         check_token("subsurfaceBoundary", &self.subsurface_boundary, &BOUNDARIES)?;
         let known = [&AOVS[..], &EXTRA_AOVS[..], &GUIDE_AOVS[..]].concat();
