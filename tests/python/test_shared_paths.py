@@ -9,6 +9,7 @@ import pytest
 
 pytest.importorskip("dermis._core", reason="the Rust core is not built")
 
+from light_layers import LAYERS, assert_layers_sum_up
 from stability.rendering import load
 from stability.scenes import (
     QUADS,
@@ -198,30 +199,8 @@ def test_it_takes_noise_away(scene):
 def test_layers_share_with_the_picture(scene):
     other = {"/L1": light("sphere", move(-2.0, 0.5, 2.0), 5.0, radius=0.2)}
     prims = {**SCENES[scene](), **other}
-    aovs = [
-        "light_L0",
-        "light_L1",
-        "direct",
-        "indirect",
-        "subsurface",
-        "diffuse",
-        "specular",
-        "emission",
-        "transmission",
-    ]
     for walk in ("classical", "mixture"):
-        seen = pictures(prims, [3], aovs, samples=32, walk=walk, sharedPaths="on")[0]
-        color = seen["color"][..., :3].astype(np.float64)
-
-        def together(names, seen=seen):
-            return sum(seen[name].astype(np.float64) for name in names)
-
-        atol = 2e-5 * color.max()
-        np.testing.assert_allclose(together(["light_L0", "light_L1"]), color, atol=atol)
-        np.testing.assert_allclose(together(["direct", "indirect", "subsurface"]), color, atol=atol)
-        np.testing.assert_allclose(
-            together(["diffuse", "specular", "transmission", "subsurface"]), color, atol=atol
-        )
+        assert_layers_sum_up(pictures(prims, [3], LAYERS, samples=32, walk=walk, sharedPaths="on")[0])
 
 
 def test_any_number_of_threads():
