@@ -13,12 +13,13 @@ use crate::math::Rgb;
 use glam::{DVec3, Vec2};
 use std::sync::{Mutex, PoisonError};
 
-/// What a sample shows: colour, alpha, then the layers that are kept.
-const COLOR: usize = 4;
+/// Sums of a pixel: shares, then what samples show by their shares, colour, alpha and the layers that are kept; at last its moments.
+const COLOR: usize = 1;
+const ALPHA: usize = 4;
+const LAYERS: usize = 5;
 
-/// Sums of a pixel: shares, their squares, both times the color, the squares times the squares of the color; then, by shares, what
-/// samples show.
-const MOMENTS: usize = 8;
+/// For the variance: squares of shares, these times the colour, these times the squares of the colour.
+const MOMENTS: usize = 7;
 
 /// A tile's sums for its pixels and for one row and column beyond on each side.
 #[derive(Debug, Clone)]
@@ -29,6 +30,8 @@ pub(super) struct Spread {
     across: usize,
     /// Of a pixel.
     each: usize,
+    /// Where its moments are; `each`: nobody asks for them.
+    moments: usize,
     pub sums: Vec<f64>,
     /// What a sample shows, made anew for each.
     shown: Vec<f32>,
@@ -37,9 +40,10 @@ pub(super) struct Spread {
 impl Spread {
     fn new(window: DataWindow, tile: &Tile) -> Self {
         let across = tile.width as usize + 2;
-        let each = MOMENTS + COLOR + tile.layers();
+        let moments = LAYERS + tile.layers();
+        let each = moments + if tile.squares.is_empty() { 0 } else { MOMENTS };
         let sums = vec![0.0; across * (tile.height as usize + 2) * each];
-        Self { window, x0: tile.x0 - 1, y0: tile.y0 - 1, across, each, sums, shown: Vec::new() }
+        Self { window, x0: tile.x0 - 1, y0: tile.y0 - 1, across, each, moments, sums, shown: Vec::new() }
     }
 
     /// Adds what is `shown` by a sample of the pixel at `(x, y)`, `offset` pixels from its centre.
@@ -59,15 +63,24 @@ impl Spread {
     fn give(&mut self, x: i32, y: i32, share: f64) {
         let at = (y - self.y0) as usize * self.across + (x - self.x0) as usize;
         let sums = &mut self.sums[at * self.each..(at + 1) * self.each];
-        let square = share * share;
         sums[0] += share;
-        sums[1] += square;
-        for (channel, color) in self.shown[..3].iter().map(|c| f64::from(*c)).enumerate() {
-            sums[2 + channel] += square * color;
-            sums[5 + channel] += square * color * color;
+        sums[COLOR..].iter_mut().zip(&self.shown).for_each(|(sum, value)| *sum += share * f64::from(*value));
+        if let [squares, of_color @ ..] = &mut sums[self.moments..] {
+            let square = share * share;
+            *squares += square;
+            for (channel, color) in self.shown[..3].iter().map(|c| f64::from(*c)).enumerate() {
+                of_color[channel] += square * color;
+                of_color[3 + channel] += square * color * color;
+            }
         }
-        sums[MOMENTS..].iter_mut().zip(&self.shown).for_each(|(sum, value)| *sum += share * f64::from(*value));
     }
+}
+
+/// What the tiles have for each pixel of a window, in its order; as in [`Spread`].
+struct Sums {
+    each: usize,
+    moments: usize,
+    sums: Vec<f64>,
 }
 
 /// Weight of the pixel filter along one axis, `x` pixels from the centre.
@@ -103,20 +116,21 @@ impl Tile {
     }
 
     /// Puts `sums` of pixel `i` in the place of those of its own samples, as if as many of these had brought them.
-    fn take(&mut self, i: usize, sums: &[f64]) {
+    fn take(&mut self, i: usize, sums: &[f64], moments: usize) {
         let n = f64::from(self.samples[i]);
         let mean = |k: usize| sums[k] / sums[0];
         let rgb = |k: usize| DVec3::new(mean(k), mean(k + 1), mean(k + 2));
-        let color = rgb(MOMENTS);
+        let color = rgb(COLOR);
         if let Some(squares) = self.squares.get_mut(i) {
             // Of a mean with weights that do not depend on the values: sum w^2 (value - mean)^2 / (sum w)^2.
-            let spread = (rgb(5) - 2.0 * color * rgb(2) + color * color * mean(1)) / sums[0];
+            let (squares_of, times, shares) = (rgb(moments + 4), rgb(moments + 1), mean(moments));
+            let spread = (squares_of - 2.0 * color * times + color * color * shares) / sums[0];
             // `mean_variance` is to find n / (n - 1) of that.
             *squares = n * (n * spread + color * color);
         }
         self.color[i] = n * color;
-        self.alpha[i] = (n * mean(MOMENTS + 3)) as f32;
-        let mut at = MOMENTS + COLOR;
+        self.alpha[i] = (n * mean(ALPHA)) as f32;
+        let mut at = LAYERS;
         let mut next = || {
             at += 3;
             (n * rgb(at - 3)).as_vec3()
@@ -137,8 +151,8 @@ impl Film {
     /// Where the memory is not to be had.
     pub fn spreading(mut self) -> Result<Self> {
         let window = self.data_window;
-        let layers = self.tiles.first_mut().map_or(0, |tile| locked(tile).layers());
-        super::check_memory(window, size_of::<f64>() * (MOMENTS + COLOR + layers))?;
+        let each = self.tiles.first_mut().map_or(0, |tile| Spread::new(window, locked(tile)).each);
+        super::check_memory(window, size_of::<f64>() * each)?;
         for tile in &mut self.tiles {
             let tile = locked(tile);
             tile.spread = Some(Spread::new(window, tile));
@@ -146,22 +160,23 @@ impl Film {
         Ok(self)
     }
 
-    /// What the tiles have for each pixel of the window, per sample of a pixel; `None`: samples are their own pixel's.
-    fn spread_sums(&self) -> Option<(usize, Vec<f64>)> {
+    /// Per sample of a pixel; `None`: samples are their own pixel's.
+    fn spread_sums(&self) -> Option<Sums> {
         let (width, height) = (self.data_window.width() as usize, self.data_window.height() as usize);
-        let mut all: Option<(usize, Vec<f64>)> = None;
+        let mut all: Option<Sums> = None;
         self.for_each_tile(|tile| {
             let (Some(spread), n) = (&tile.spread, f64::from(tile.samples[0])) else { return };
-            let (each, sums) = all.get_or_insert_with(|| (spread.each, vec![0.0; width * height * spread.each]));
-            for (i, of_pixel) in spread.sums.chunks_exact(*each).enumerate().filter(|_| n > 0.0) {
+            let Spread { each, moments, .. } = *spread;
+            let all = all.get_or_insert_with(|| Sums { each, moments, sums: vec![0.0; width * height * each] });
+            for (i, of_pixel) in spread.sums.chunks_exact(each).enumerate().filter(|_| n > 0.0) {
                 let (x, y) = (spread.x0 + (i % spread.across) as i32, spread.y0 + (i / spread.across) as i32);
                 if !self.data_window.contains(x, y) {
                     continue;
                 }
                 let at = y.abs_diff(self.data_window.y0) as usize * width + x.abs_diff(self.data_window.x0) as usize;
-                let into = &mut sums[at * *each..(at + 1) * *each];
+                let into = &mut all.sums[at * each..(at + 1) * each];
                 // All pixels of a tile have as many samples; squares of shares go with the square of their number.
-                let scale = |k: usize| if (1..MOMENTS).contains(&k) { n * n } else { n };
+                let scale = |k: usize| if k < moments { n } else { n * n };
                 into.iter_mut().zip(of_pixel).enumerate().for_each(|(k, (into, sum))| *into += sum / scale(k));
             }
         });
@@ -170,7 +185,7 @@ impl Film {
 
     /// The film as every pixel sees the samples around it, to be resolved; `None`: as it is.
     pub(super) fn gathered(&self) -> Option<Self> {
-        let (each, sums) = self.spread_sums()?;
+        let Sums { each, moments, sums } = self.spread_sums()?;
         let width = self.data_window.width() as usize;
         let mut tiles = Vec::with_capacity(self.tiles.len());
         self.for_each_tile(|tile| {
@@ -180,7 +195,7 @@ impl Film {
                 let y = tile.y0.abs_diff(self.data_window.y0) as usize + i / tile.width as usize;
                 let of_pixel = &sums[(y * width + x) * each..][..each];
                 if of_pixel[0] > 0.0 {
-                    tile.take(i, of_pixel);
+                    tile.take(i, of_pixel, moments);
                 }
             }
             tiles.push(Mutex::new(tile));
