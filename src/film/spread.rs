@@ -101,9 +101,9 @@ impl Tile {
     /// Gives a sample of pixel `i`, `offset` pixels from its centre, with its sums of AOVs of lights and by lobe, to the pixels
     /// around it.
     pub fn spread(&mut self, i: usize, offset: Vec2, sample: &super::Sample, lights: &[Rgb], lobes: &[Rgb]) {
+        let Some(spread) = &mut self.spread else { return };
         let (x, y) = (self.x0 + (i as u32 % self.width) as i32, self.y0 + (i as u32 / self.width) as i32);
         let (buckets, straight) = (!self.buckets.is_empty(), !self.straight.is_empty());
-        let Some(spread) = &mut self.spread else { return };
         let shown = &mut spread.shown;
         shown.clear();
         shown.extend(sample.color().to_array());
@@ -113,6 +113,14 @@ impl Tile {
         shown.extend(straight.then_some(sample.straight).iter().flat_map(|layer| layer.to_array()));
         shown.extend(lights.iter().chain(lobes).flat_map(|layer| layer.to_array()));
         spread.add(x, y, offset);
+    }
+
+    /// A copy but for what it gives to other pixels, which is most of it.
+    fn without_spread(&mut self) -> Self {
+        let spread = self.spread.take();
+        let copy = self.clone();
+        self.spread = spread;
+        copy
     }
 
     /// Puts `sums` of pixel `i` in the place of those of its own samples, as if as many of these had brought them.
@@ -188,8 +196,8 @@ impl Film {
         let Sums { each, moments, sums } = self.spread_sums()?;
         let width = self.data_window.width() as usize;
         let mut tiles = Vec::with_capacity(self.tiles.len());
-        self.for_each_tile(|tile| {
-            let mut tile = Tile { spread: None, ..tile.clone() };
+        for tile in &self.tiles {
+            let mut tile = tile.lock().unwrap_or_else(PoisonError::into_inner).without_spread();
             for i in 0..tile.samples.len() {
                 let x = tile.x0.abs_diff(self.data_window.x0) as usize + i % tile.width as usize;
                 let y = tile.y0.abs_diff(self.data_window.y0) as usize + i / tile.width as usize;
@@ -199,7 +207,7 @@ impl Film {
                 }
             }
             tiles.push(Mutex::new(tile));
-        });
+        }
         let (aovs, object_ids) = (self.aovs.clone(), self.object_ids.clone());
         Some(Self { tiles, aovs, object_ids, ..*self })
     }

@@ -97,9 +97,10 @@ impl<'a> Suns<'a> {
 
     /// Distance beyond which [`Self::searched`] is below `u`; `None` if it is anywhere.
     fn reach(&self, u: f32) -> Option<f32> {
+        (u < SEARCHED).then_some(())?;
         // The clearest channel passes no less than the mean; 0 / 0, without extinction, is as far as any.
         let reach = (SEARCHED / u).ln() / (GRAZING * self.medium.sigma_t.min_element());
-        (u < SEARCHED).then_some(if reach.is_nan() { f32::INFINITY } else { reach })
+        Some(if reach.is_nan() { f32::INFINITY } else { reach })
     }
 
     /// The ways from `x` that a search finds, each once.

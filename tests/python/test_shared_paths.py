@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("dermis._core", reason="the Rust core is not built")
 
 from light_layers import LAYERS, assert_layers_sum_up
-from stability.rendering import load
+from stability.rendering import load, snapshots
 from stability.scenes import (
     QUADS,
     box,
@@ -118,15 +118,7 @@ SCENES = {
 
 
 def pictures(prims, seeds, aovs=(), **settings):
-    delegate = load(prims)
-    made = []
-    for seed in seeds:
-        delegate.set_settings(camera="/C", resolution=[SIZE, SIZE], seed=seed, aovs=list(aovs), **settings)
-        delegate.commit()
-        delegate.start()
-        assert delegate.wait(120.0)
-        made.append(delegate.snapshot())
-    return made
+    return snapshots(prims, seeds, SIZE, aovs, **settings)
 
 
 def blocks(prims, seeds, **settings):

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -55,6 +55,21 @@ def load(prims: Mapping[str, Prim]) -> hydra.Delegate:
     for path, prim in prims.items():
         delegate.sync(path, prim)
     return delegate
+
+
+def snapshots(
+    prims: Mapping[str, Prim], seeds: Iterable[int], size: int, aovs: Iterable[str] = (), **settings: Any
+) -> list[dict[str, NDArray[np.float32]]]:
+    """All layers of a render for each seed."""
+    delegate = load(prims)
+    made = []
+    for seed in seeds:
+        delegate.set_settings(camera="/C", resolution=[size, size], seed=seed, aovs=list(aovs), **settings)
+        delegate.commit()
+        delegate.start()
+        assert delegate.wait(120.0)
+        made.append(delegate.snapshot())
+    return made
 
 
 def render(prims: Mapping[str, Prim], size: int = 24, samples: int = 64, **settings: Any) -> Picture:
