@@ -28,7 +28,7 @@ const NARROW: f32 = 0.7;
 
 /// Variance of a walk over its squared mean above which sharing pays where a mean free path is [`FEW`] pixels: what pixels
 /// get from each other varies by itself. Where it is longer there is more to share.
-const NOISY: f32 = 2.0;
+const NOISY: f32 = 0.2;
 const FEW: f32 = 1.0;
 
 /// The same below which what is expected is subtracted from what is shared: of more noise it is no great part, and walks that bring

@@ -7,38 +7,52 @@
 //! the last vertices that are noted back to the entries, light is spread over more and more neighbours. Groups are chosen by where
 //! the x_k are, before anything is known of x, so that each step keeps the expectation of what is behind x_k.
 //!
+//! Next to never is anything between vertices so near each other, so parts are those without, and what a ray to each would change of them is
+//! found for a random few of the steps, for which it stands ([`Looked`]).
+//!
 //! A dielectric boundary asks where light comes from: nobody shares what is behind it, nor a way by its reflection, but what
 //! is behind the collisions before and after it; what these find of lights themselves is each walk's own.
 
 use super::PathStats;
 use super::entry::{Entry, Kind, Vertex, WIDE};
 use crate::math::Rgb;
+use crate::sampling::sampler::Sampler;
 use crate::scene::{InstanceEnclosure, Moment};
 use crate::subsurface::steps::{Enclosure, Start, Step, Steps};
 use glam::Vec3;
+use walks::Walks;
 
 /// Layers of the light that is shared: what pixels show, of it what belongs to no light; then AOVs.
 const SHOWN: usize = 0;
 const UNLIT: usize = 1;
 const AOVS: usize = 2;
 
-/// Side in pixels of a group of paths whose mean free path is so many pixels: all see much the same, few do, or some.
+/// Side in pixels of a group of paths whose mean free path is so many pixels: all see much the same, few do, or some. No group is
+/// larger than a tile.
 fn side(across: f32) -> i32 {
     match across {
-        _ if across > WIDE => 7,
-        _ if across < 1.5 => 2,
-        _ => 4,
+        _ if across > WIDE => 24,
+        _ if across < 1.5 => 4,
+        _ => 7,
     }
 }
 
-/// Side in pixels of the cell of a group of collisions: four mean free paths, two where that would be many pixels, since each
+/// Side in pixels of the cell of a group of collisions: eight mean free paths, fewer where that would be many pixels, since each
 /// is asked for each other's way.
 fn cell(across: f32) -> f32 {
-    (4.0 * across).min(6.0).max(2.0 * across)
+    (8.0 * across).min(12.0).max(2.0 * across)
 }
 
 /// Position errors that an exit is seen from this side of its surface by.
 const MARGIN: f32 = 8.0;
+
+/// Share of the steps of so many walks whose ways are looked along where nothing is known to be between; of more walks fewer, since each
+/// has the less of a step.
+const SELDOM: f32 = 0.125;
+const MANY: f32 = 49.0;
+
+/// Part of a step whose way is looked along always: by itself it would be a firefly.
+const LARGE: f32 = 0.125;
 
 /// The paths of a tile, one per pixel, whose light may be shared. Light is per throughput.
 #[derive(Default)]
@@ -51,8 +65,7 @@ pub struct Shared {
     layers: usize,
     // Scratch memory.
     order: Vec<(Group, usize)>,
-    reach: Vec<Rgb>,
-    next: Vec<Rgb>,
+    walks: Walks,
 }
 
 /// The path of a pixel.
@@ -95,17 +108,18 @@ impl Shared {
     }
 
     /// Hands the light out: `add` gets the pixel, what it shows, what of it belongs to no light, AOVs. Groups are moved by `shift` in
-    /// [0, 1), which has to be another for each sample.
+    /// [0, 1), which has to be another for each sample; `random` numbers say which ways are looked along.
     pub fn hand_out(
         &mut self,
         scene: Moment,
         shift: Vec3,
+        random: &mut Sampler,
         stats: &mut PathStats,
         mut add: impl FnMut(usize, Rgb, Rgb, &[Rgb]),
     ) {
         let most = self.members.iter().map(|member| member.entry.most).max().unwrap_or(0);
         for stage in (0..=most).rev() {
-            self.stage(scene, stage, shift, stats);
+            self.stage(scene, stage, shift, random, stats);
             self.take_own(stage);
         }
         for (member, row) in self.members.iter().zip(self.light.chunks_exact_mut(self.layers)) {
@@ -126,79 +140,106 @@ impl Shared {
     }
 
     /// Shares what is behind the vertices `stage` of all paths, 0 being the entry.
-    fn stage(&mut self, scene: Moment, stage: usize, shift: Vec3, stats: &mut PathStats) {
+    fn stage(&mut self, scene: Moment, stage: usize, shift: Vec3, random: &mut Sampler, stats: &mut PathStats) {
         let mut order = std::mem::take(&mut self.order);
         order.clear();
         let members = self.members.iter().enumerate();
         order.extend(members.filter_map(|(i, member)| Some((member.group(stage, shift)?, i))));
         order.sort_unstable();
         for group in order.chunk_by(|a, b| a.0 == b.0).filter(|group| group.len() > 1) {
-            self.group(scene, stage, group, stats);
+            self.group(scene, stage, group, random, stats);
         }
         self.order = order;
     }
 
     /// The same of one group.
-    fn group(&mut self, scene: Moment, stage: usize, group: &[(Group, usize)], stats: &mut PathStats) {
+    fn group(
+        &mut self,
+        scene: Moment,
+        stage: usize,
+        group: &[(Group, usize)],
+        random: &mut Sampler,
+        stats: &mut PathStats,
+    ) {
         let enclosure = InstanceEnclosure::new(scene, group[0].0.0[0]);
-        self.next.clear();
-        self.next.resize(group.len() * self.layers, Rgb::ZERO);
-        let expects = group.iter().any(|(_, k)| self.members[*k].entry.expected != Rgb::ZERO);
-        for (_, j) in group {
-            let nothing = self.row(*j).iter().all(|light| *light == Rgb::ZERO);
-            let to = self.members[*j].entry.vertices().get(stage).copied();
-            if let Some(to) = to.filter(|_| expects || !nothing) {
-                self.split(&enclosure, stage, group, *j, &to, stats);
+        let mut walks = std::mem::take(&mut self.walks);
+        let entry = |k: usize| &self.members[group[k].1].entry;
+        walks.gather((0..group.len()).map(entry), stage, self.layers);
+        let expects = (0..group.len()).any(|k| entry(k).expected != Rgb::ZERO);
+        let mut looked = Looked::of((0..group.len()).map(|k| self.brings(stage, group[k].1)));
+        for own in 0..group.len() {
+            let row = self.row(group[own].1);
+            let nothing = row.iter().all(|light| *light == Rgb::ZERO);
+            let to = entry(own).vertices().get(stage);
+            let Some(to) = to.filter(|_| expects || !nothing) else { continue };
+            walks.part(to, own, entry(own).start.d);
+            let q = looked.probability(self.brings(stage, group[own].1));
+            if !to.kind.is_own() {
+                let sees = |k: usize| entry(k).sees(&enclosure, stage, to);
+                stats.shadow_rays += u64::from(walks.look(own, LARGE, 1.0, sees)[0]);
+                if random.random() < q {
+                    looked.add(walks.look(own, 0.0, q, sees));
+                }
+            }
+            // Of a channel that the walk did not carry it knows nothing.
+            walks.forget(!entry(own).carried());
+            walks.split(row);
+            if expects {
+                walks.expect(to.arrived, AOVS);
             }
         }
+        stats.shadow_rays += u64::from(looked.asked);
         for (n, (_, k)) in group.iter().enumerate() {
             let entry = &self.members[*k].entry;
             let row = &mut self.light[k * self.layers..(k + 1) * self.layers];
-            row.copy_from_slice(&self.next[n * self.layers..(n + 1) * self.layers]);
+            row.iter_mut().zip(walks.got(n)).for_each(|(light, got)| *light = got);
             let expected = entry.weight(stage) * entry.expected;
             row[SHOWN] += expected;
             row[UNLIT] += expected;
         }
+        self.walks = walks;
     }
 
-    /// Splits what member `j` brings from behind its vertex `to`.
-    fn split(
-        &mut self,
-        enclosure: &InstanceEnclosure,
-        stage: usize,
-        group: &[(Group, usize)],
-        j: usize,
-        to: &Vertex,
-        stats: &mut PathStats,
-    ) {
-        let Self { members, light, layers, reach, next, .. } = self;
-        let row = &light[j * *layers..(j + 1) * *layers];
-        reach.clear();
-        for (_, k) in group {
-            stats.shadow_rays += u64::from(*k != j && !to.kind.is_own());
-            reach.push(members[*k].entry.reach(enclosure, stage, to, *k == j));
-        }
-        let sum: Rgb = reach.iter().sum();
-        // Of a channel that the walk did not carry it knows nothing.
-        let carried = members[j].entry.carried();
-        for (n, (_, k)) in group.iter().enumerate() {
-            // Where rounding has left nothing of a step, it is that of the walk that made it.
-            let all = if *k == j { Rgb::ONE } else { Rgb::ZERO };
-            let part = Rgb::select(sum.cmpgt(Rgb::ZERO), reach[n] / sum, all);
-            let part = Rgb::select(carried, part, Rgb::ZERO);
-            if part != Rgb::ZERO {
-                let next = &mut next[n * *layers..(n + 1) * *layers];
-                next.iter_mut().zip(row).for_each(|(next, light)| *next += part * *light);
-                // Control variate: the parts of all steps from a vertex weigh as much as the walk did there.
-                let expected = part * to.arrived * members[*k].entry.expected;
-                next[SHOWN] -= expected;
-                next[UNLIT] -= expected;
-            }
-        }
+    /// How far what the walk brings from behind its vertex `stage` is from what is expected.
+    fn brings(&self, stage: usize, member: usize) -> f32 {
+        let entry = &self.members[member].entry;
+        let expected = entry.vertices().get(stage).map_or(Rgb::ZERO, |to| to.arrived * entry.expected);
+        (self.row(member)[SHOWN] - expected).abs().max_element()
     }
 
     fn row(&self, member: usize) -> &[Rgb] {
         &self.light[member * self.layers..(member + 1) * self.layers]
+    }
+}
+
+/// What looking along the ways of a group has shown.
+struct Looked {
+    asked: u32,
+    blind: u32,
+    walks: f32,
+    /// Of what they bring.
+    mean: f32,
+}
+
+impl Looked {
+    fn of(brought: impl ExactSizeIterator<Item = f32>) -> Self {
+        let walks = brought.len() as f32;
+        Self { asked: 0, blind: 0, walks, mean: brought.sum::<f32>() / walks }
+    }
+
+    /// With which to look along those of the step of a walk that has `brought` so much: seldom, since next to nothing is ever between, but
+    /// where something was, and in proportion, so that none that stands for many is a firefly. What comes of it has no part in it, so
+    /// that it stands for all on average.
+    fn probability(&self, brought: f32) -> f32 {
+        let blind = self.blind as f32 / self.asked.max(1) as f32;
+        let of_all = (4.0 * blind).clamp(SELDOM, 1.0) * (MANY / self.walks).min(1.0);
+        let over_mean = if self.mean > 0.0 { brought / self.mean } else { 1.0 };
+        (of_all * (0.2 + 0.8 * over_mean)).min(1.0)
+    }
+
+    fn add(&mut self, [asked, blind]: [u32; 2]) {
+        self.asked += asked;
+        self.blind += blind;
     }
 }
 
@@ -232,28 +273,16 @@ impl Entry {
         if stage == 0 { Rgb::ONE } else { self.vertices()[stage - 1].weight }
     }
 
-    /// A_k F_k of a step from the vertex `stage` to `to`, but for what all steps there have in common; `own`: the walk made it.
-    fn reach(&self, enclosure: &InstanceEnclosure, stage: usize, to: &Vertex, own: bool) -> Rgb {
-        if to.kind.is_own() {
-            return if own { Rgb::ONE } else { Rgb::ZERO };
-        }
-        let from = if stage == 0 { self.start.p } else { self.vertices()[stage - 1].p };
-        let squared = from.distance_squared(to.p);
-        let t = squared.sqrt();
-        let d = if own && stage == 0 { self.start.d } else { (to.p - from) / t };
-        let leaving = if stage == 0 { entering(d, self.normal, self.start.normal) } else { 1.0 };
-        let arriving = if let Kind::Leaves(n) = to.kind { d.dot(n).max(0.0) } else { 1.0 };
-        let geometry = leaving * arriving / squared;
-        if !(geometry > 0.0 && geometry.is_finite()) {
-            return Rgb::ZERO;
-        }
-        let reach = self.weight(stage) * self.medium.transmittance(t) * geometry;
-        let reach = Rgb::select(self.carried(), reach, Rgb::ZERO);
-        if own || self.sees(enclosure, stage, from, d, to, t) { reach } else { Rgb::ZERO }
+    /// Where it goes on from the vertex `stage`, walk space.
+    fn from(&self, stage: usize) -> Vec3 {
+        if stage == 0 { self.start.p } else { self.vertices()[stage - 1].p }
     }
 
-    /// Whether nothing is between the vertex `stage`, `from`, and `to`, `t` along `d`: by the walk's own rules.
-    fn sees(&self, enclosure: &InstanceEnclosure, stage: usize, from: Vec3, d: Vec3, to: &Vertex, t: f32) -> bool {
+    /// Whether nothing is between the vertex `stage` and `to`: by the walk's own rules.
+    fn sees(&self, enclosure: &InstanceEnclosure, stage: usize, to: &Vertex) -> bool {
+        let from = self.from(stage);
+        let t = from.distance(to.p);
+        let d = (to.p - from) / t;
         let t = if matches!(to.kind, Kind::Leaves(_)) { t - MARGIN * enclosure.position_error() } else { t };
         if stage > 0 {
             return enclosure.cast(from, d, t, None).is_none();
@@ -262,16 +291,7 @@ impl Entry {
     }
 }
 
-/// pi times the density of directions that enter along `d`: the cosine to the shading `normal`, mirrored at the surface where that
-/// does not get in.
-fn entering(d: Vec3, normal: Vec3, ng: Vec3) -> f32 {
-    let cos = d.dot(ng);
-    if cos > 0.0 {
-        return 0.0;
-    }
-    let mirrored = d - 2.0 * cos * ng;
-    (-d.dot(normal)).max(0.0) + (-mirrored.dot(normal)).max(0.0)
-}
+mod walks;
 
 #[cfg(test)]
 mod tests;

@@ -149,10 +149,12 @@ impl<'a> TilePass<'a> {
 
     /// Gives pixels their part of the paths around them. Nothing moves where paths are shared.
     fn hand_out(&mut self, number: u32) {
-        let Self { scene, seed, stats, samples, lights, lobes, shared, .. } = self;
+        let Self { scene, seed, stats, samples, lights, lobes, shared, tile, .. } = self;
+        let corner = scene.camera.pixel_number(tile.x0, tile.y0);
+        let mut random = Sampler::new(!*seed ^ GROUP_SEED, corner, number);
         let mut sampler = Sampler::new(*seed ^ GROUP_SEED, 0, number);
         let shift = Vec3::new(sampler.random(), sampler.random(), sampler.random());
-        shared.hand_out(scene.middle(), shift, stats, |pixel, shown, unlit, aovs| {
+        shared.hand_out(scene.middle(), shift, &mut random, stats, |pixel, shown, unlit, aovs| {
             samples[pixel].subsurface += shown;
             let (of_lights, of_lobes) = aovs.split_at(lights.each);
             lights.add(pixel, of_lights);
