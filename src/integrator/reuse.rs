@@ -157,65 +157,80 @@ impl Shared {
         &mut self,
         scene: Moment,
         stage: usize,
-        group: &[(Group, usize)],
+        of: &[(Group, usize)],
         random: &mut Sampler,
         stats: &mut PathStats,
     ) {
-        let enclosure = InstanceEnclosure::new(scene, group[0].0.0[0]);
-        let mut walks = std::mem::take(&mut self.walks);
-        let entry = |k: usize| &self.members[group[k].1].entry;
-        walks.gather((0..group.len()).map(entry), stage, self.layers);
-        let expects = (0..group.len()).any(|k| entry(k).expected != Rgb::ZERO);
-        let mut looked = Looked::of((0..group.len()).map(|k| self.brings(stage, group[k].1)));
-        for own in 0..group.len() {
-            let row = self.row(group[own].1);
-            let nothing = row.iter().all(|light| *light == Rgb::ZERO);
-            let to = entry(own).vertices().get(stage);
-            let Some(to) = to.filter(|_| expects || !nothing) else { continue };
-            walks.part(to, own, entry(own).start.d);
-            let q = looked.probability(self.brings(stage, group[own].1));
+        let Self { members, light, layers, walks, .. } = self;
+        let enclosure = InstanceEnclosure::new(scene, of[0].0.0[0]);
+        let group = Around { members, of, stage, enclosure };
+        walks.gather((0..of.len()).map(|k| group.entry(k)), stage, *layers);
+        let expects = (0..of.len()).any(|k| group.entry(k).expected != Rgb::ZERO);
+        let row = |k: usize| of[k].1 * *layers..(of[k].1 + 1) * *layers;
+        let mut looked = Looked::of((0..of.len()).map(|k| group.brings(k, light[row(k)][SHOWN])));
+        for own in 0..of.len() {
+            let light = &light[row(own)];
+            let nothing = !expects && light.iter().all(|light| *light == Rgb::ZERO);
+            let Some(to) = group.to(own).filter(|_| !nothing) else { continue };
+            walks.part(to, own, group.entry(own).start.d);
             if !to.kind.is_own() {
-                let sees = |k: usize| entry(k).sees(&enclosure, stage, to);
-                stats.shadow_rays += u64::from(walks.look(own, LARGE, 1.0, sees)[0]);
-                if random.random() < q {
-                    looked.add(walks.look(own, 0.0, q, sees));
-                }
+                let sees = |k: usize| group.entry(k).sees(&group.enclosure, stage, to);
+                looked.look(walks, own, group.brings(own, light[SHOWN]), random.random(), sees);
             }
             // Of a channel that the walk did not carry it knows nothing.
-            walks.forget(!entry(own).carried());
-            walks.split(row);
+            walks.forget(!group.entry(own).carried());
+            walks.split(light);
             if expects {
                 walks.expect(to.arrived, AOVS);
             }
         }
-        stats.shadow_rays += u64::from(looked.asked);
-        for (n, (_, k)) in group.iter().enumerate() {
-            let entry = &self.members[*k].entry;
-            let row = &mut self.light[k * self.layers..(k + 1) * self.layers];
-            row.iter_mut().zip(walks.got(n)).for_each(|(light, got)| *light = got);
-            let expected = entry.weight(stage) * entry.expected;
-            row[SHOWN] += expected;
-            row[UNLIT] += expected;
+        stats.shadow_rays += looked.rays;
+        for k in 0..of.len() {
+            group.take(k, walks, &mut light[row(k)]);
         }
-        self.walks = walks;
+    }
+}
+
+/// The paths of a group, at their vertices `stage`.
+struct Around<'a> {
+    members: &'a [Member],
+    of: &'a [(Group, usize)],
+    stage: usize,
+    enclosure: InstanceEnclosure<'a>,
+}
+
+impl Around<'_> {
+    fn entry(&self, k: usize) -> &Entry {
+        &self.members[self.of[k].1].entry
     }
 
-    /// How far what the walk brings from behind its vertex `stage` is from what is expected.
-    fn brings(&self, stage: usize, member: usize) -> f32 {
-        let entry = &self.members[member].entry;
-        let expected = entry.vertices().get(stage).map_or(Rgb::ZERO, |to| to.arrived * entry.expected);
-        (self.row(member)[SHOWN] - expected).abs().max_element()
+    /// Where one went from there.
+    fn to(&self, k: usize) -> Option<&Vertex> {
+        self.entry(k).vertices().get(self.stage)
     }
 
-    fn row(&self, member: usize) -> &[Rgb] {
-        &self.light[member * self.layers..(member + 1) * self.layers]
+    /// How far what it brings from behind that, `shown`, is from what is expected.
+    fn brings(&self, k: usize, shown: Rgb) -> f32 {
+        let expected = self.to(k).map_or(Rgb::ZERO, |to| to.arrived * self.entry(k).expected);
+        (shown - expected).abs().max_element()
+    }
+
+    /// Puts into `row` what it has got, and what is expected, which was taken off.
+    fn take(&self, k: usize, walks: &Walks, row: &mut [Rgb]) {
+        row.iter_mut().zip(walks.got(k)).for_each(|(light, got)| *light = got);
+        let expected = self.entry(k).weight(self.stage) * self.entry(k).expected;
+        row[SHOWN] += expected;
+        row[UNLIT] += expected;
     }
 }
 
 /// What looking along the ways of a group has shown.
 struct Looked {
+    /// Where it was left to chance.
     asked: u32,
     blind: u32,
+    /// In all.
+    rays: u64,
     walks: f32,
     /// Of what they bring.
     mean: f32,
@@ -224,7 +239,18 @@ struct Looked {
 impl Looked {
     fn of(brought: impl ExactSizeIterator<Item = f32>) -> Self {
         let walks = brought.len() as f32;
-        Self { asked: 0, blind: 0, walks, mean: brought.sum::<f32>() / walks }
+        Self { asked: 0, blind: 0, rays: 0, walks, mean: brought.sum::<f32>() / walks }
+    }
+
+    /// Who `sees` the step that walk `own` made and that has `brought` so much: those with a large part, and, by the random number `u`, all.
+    fn look(&mut self, walks: &mut Walks, own: usize, brought: f32, u: f32, sees: impl Fn(usize) -> bool) {
+        let q = self.probability(brought);
+        self.rays += u64::from(walks.look(own, LARGE, 1.0, &sees)[0]);
+        if u < q {
+            let [asked, blind] = walks.look(own, 0.0, q, &sees);
+            (self.asked, self.blind) = (self.asked + asked, self.blind + blind);
+            self.rays += u64::from(asked);
+        }
     }
 
     /// With which to look along those of the step of a walk that has `brought` so much: seldom, since next to nothing is ever between, but
@@ -235,11 +261,6 @@ impl Looked {
         let of_all = (4.0 * blind).clamp(SELDOM, 1.0) * (MANY / self.walks).min(1.0);
         let over_mean = if self.mean > 0.0 { brought / self.mean } else { 1.0 };
         (of_all * (0.2 + 0.8 * over_mean)).min(1.0)
-    }
-
-    fn add(&mut self, [asked, blind]: [u32; 2]) {
-        self.asked += asked;
-        self.blind += blind;
     }
 }
 
