@@ -209,10 +209,10 @@ impl Around<'_> {
         self.entry(k).vertices().get(self.stage)
     }
 
-    /// How far what it brings from behind that, `shown`, is from what is expected.
+    /// How much it brings from behind that, `shown`, or how far that is from what is expected, which is not taken off AOVs.
     fn brings(&self, k: usize, shown: Rgb) -> f32 {
         let expected = self.to(k).map_or(Rgb::ZERO, |to| to.arrived * self.entry(k).expected);
-        (shown - expected).abs().max_element()
+        (shown - expected).abs().max(shown.abs()).max_element()
     }
 
     /// Puts into `row` what it has got, and what is expected, which was taken off.
