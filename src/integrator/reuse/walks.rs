@@ -3,6 +3,7 @@
 use crate::integrator::entry::{Entry, Kind, Vertex};
 use crate::math::{Rgb, exp_in_lanes};
 use glam::{BVec3, Vec3};
+use std::ops::Range;
 
 /// Walks of a block. Loops over them are what the compiler makes lanes of.
 const WIDTH: usize = 8;
@@ -25,6 +26,8 @@ pub(super) struct Walks {
     /// What they get: by block, then by layer.
     next: Vec<Lanes3>,
     layers: usize,
+    /// Blocks that may have a part in the step: of one that is a walk's own, its.
+    within: Range<usize>,
     /// Whether they are at their entries.
     entering: bool,
     /// Whether channels have one extinction.
@@ -69,13 +72,16 @@ impl Walks {
 
     /// The parts in a step to `to` if nothing is between; the walk `own` made it, along `d`.
     pub fn part(&mut self, to: &Vertex, own: usize, d: Vec3) {
-        for (b, block) in self.blocks.iter_mut().enumerate() {
-            block.asked = 0;
-            if to.kind.is_own() {
-                block.reach = Lanes3::default();
-            } else {
-                let own = (own / WIDTH == b).then_some((own % WIDTH, d));
-                block.reach(to, self.entering.then_some(own), self.grey);
+        let block = own / WIDTH;
+        if to.kind.is_own() {
+            self.within = block..block + 1;
+            self.blocks[block].reach = Lanes3::default();
+        } else {
+            self.within = 0..self.blocks.len();
+            for (b, walks) in self.blocks.iter_mut().enumerate() {
+                walks.asked = 0;
+                let own = (block == b).then_some((own % WIDTH, d));
+                walks.reach(to, self.entering.then_some(own), self.grey);
             }
         }
         self.share(own, |part, share| *part = share);
@@ -109,30 +115,38 @@ impl Walks {
     fn share(&mut self, own: usize, take: impl Fn(&mut f32, f32)) {
         for c in 0..3 {
             let mut sums = Lanes::default();
-            self.blocks.iter().for_each(|block| (0..WIDTH).for_each(|i| sums[i] += block.reach[c][i]));
+            self.blocks[self.within.clone()]
+                .iter()
+                .for_each(|block| (0..WIDTH).for_each(|i| sums[i] += block.reach[c][i]));
             let sum: f32 = sums.iter().sum();
             let known = sum.is_finite() && sum >= f32::MIN_POSITIVE;
             if !known {
-                self.blocks.iter_mut().for_each(|block| block.reach[c] = Lanes::default());
+                self.blocks[self.within.clone()].iter_mut().for_each(|block| block.reach[c] = Lanes::default());
                 self.blocks[own / WIDTH].reach[c][own % WIDTH] = 1.0;
             }
             let inverse = if known { 1.0 / sum } else { 1.0 };
-            for Block { reach, parts, .. } in &mut self.blocks {
+            for Block { reach, parts, .. } in &mut self.blocks[self.within.clone()] {
                 (0..WIDTH).for_each(|i| take(&mut parts[c][i], reach[c][i] * inverse));
             }
         }
     }
 
+    /// Those that may have a part, and what they get by layer.
+    fn with_next(&mut self) -> impl Iterator<Item = (&Block, &mut [Lanes3])> {
+        let (blocks, next) = (&self.blocks[self.within.clone()], self.next.chunks_exact_mut(self.layers));
+        blocks.iter().zip(next.skip(self.within.start))
+    }
+
     /// Takes all parts in `channels` away.
     pub fn forget(&mut self, channels: BVec3) {
         for c in (0..3).filter(|c| channels.test(*c)) {
-            self.blocks.iter_mut().for_each(|block| block.parts[c] = Lanes::default());
+            self.blocks[self.within.clone()].iter_mut().for_each(|block| block.parts[c] = Lanes::default());
         }
     }
 
     /// Hands out the layers `light` by parts.
     pub fn split(&mut self, light: &[Rgb]) {
-        for (block, next) in self.blocks.iter().zip(self.next.chunks_exact_mut(self.layers)) {
+        for (block, next) in self.with_next() {
             for (next, light) in next.iter_mut().zip(light).filter(|(_, light)| **light != Rgb::ZERO) {
                 for c in 0..3 {
                     (0..WIDTH).for_each(|i| next[c][i] += block.parts[c][i] * light[c]);
@@ -144,7 +158,7 @@ impl Walks {
     /// Takes what walks are expected to bring off the first `layers`, by parts of what `arrived`: the parts of all steps from a vertex weigh
     /// as much as the walk did there.
     pub fn expect(&mut self, arrived: Rgb, layers: usize) {
-        for (block, next) in self.blocks.iter().zip(self.next.chunks_exact_mut(self.layers)) {
+        for (block, next) in self.with_next() {
             for next in &mut next[..layers] {
                 for c in 0..3 {
                     (0..WIDTH).for_each(|i| next[c][i] -= block.parts[c][i] * arrived[c] * block.expected[c][i]);
